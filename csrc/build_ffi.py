@@ -1,0 +1,25 @@
+"""The cffi builder that setup.py names: reads what it binds out of canser.h."""
+
+import re
+import sys
+from pathlib import Path
+
+import cffi
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent
+
+header = (HERE / "canser.h").read_text(encoding="utf-8")
+bound = re.search(r"/\* cffi: begin \*/(.*)/\* cffi: end \*/", header, re.DOTALL)
+assert bound, "canser.h has lost its cffi region"
+
+ffibuilder = cffi.FFI()
+ffibuilder.cdef(bound.group(1))
+ffibuilder.set_source(
+    "canser._core",
+    '#include "canser.h"',
+    sources=sorted(path.relative_to(ROOT).as_posix() for path in HERE.glob("*.c")),
+    include_dirs=[HERE.relative_to(ROOT).as_posix()],
+    depends=sorted(path.relative_to(ROOT).as_posix() for path in HERE.glob("*.h")),
+    extra_compile_args=["/O2", "/std:c11"] if sys.platform == "win32" else ["-O3", "-std=c11"],
+)

@@ -1,0 +1,220 @@
+/* The public functions: a stream cut into pieces, its end, and the way back. */
+#include "protocol.h"
+
+/* What Python takes for granted of the record, and MSVC and others must keep. */
+_Static_assert(sizeof(canser_frame) == 24, "the record is 24 bytes");
+_Static_assert(offsetof(canser_frame, data) == 8, "data lies at 8");
+_Static_assert(offsetof(canser_frame, ts) == 16, "ts lies at 16");
+_Static_assert(sizeof(canser_control) == 32, "a control packet is 32 bytes");
+
+const canser_protocol *canser_protocol_at(size_t index)
+{
+#define CANSER_ROW(name) &canser_protocol_##name,
+    static const canser_protocol *const table[] = {CANSER_PROTOCOLS(CANSER_ROW)};
+#undef CANSER_ROW
+    return index < sizeof table / sizeof *table ? table[index] : NULL;
+}
+
+const char *canser_reject_name(int reason)
+{
+    static const char *const names[CANSER_REJECT_COUNT] = {
+        [CANSER_REJECT_MARKER] = "marker", [CANSER_REJECT_TYPE] = "type",
+        [CANSER_REJECT_DLC] = "dlc",       [CANSER_REJECT_ID] = "id",
+        [CANSER_REJECT_END] = "end",       [CANSER_REJECT_SUM] = "sum",
+        [CANSER_REJECT_FIELD] = "field",   [CANSER_REJECT_COMMAND] = "command",
+        [CANSER_REJECT_CUT] = "cut",
+    };
+    return reason >= 0 && reason < CANSER_REJECT_COUNT ? names[reason] : NULL;
+}
+
+const char *canser_refusal_text(int refusal)
+{
+    static const char *const texts[CANSER_REFUSAL_COUNT] = {
+        [CANSER_REFUSAL_NONE] = "",
+        [CANSER_REFUSAL_DLC] = "its dlc is over 8",
+        [CANSER_REFUSAL_ID] = "its id is over 0x7FF and ext is not set; set ext",
+        [CANSER_REFUSAL_ID_EXT] = "its id is over 0x1FFFFFFF",
+        [CANSER_REFUSAL_EXT] = "the format has no extended frames; leave them out",
+        [CANSER_REFUSAL_ERR] = "the format has no error frames; leave them out",
+        [CANSER_REFUSAL_TIME] = "the format needs a time and ts is not known (NaT); set ts",
+    };
+    return refusal >= 0 && refusal < CANSER_REFUSAL_COUNT ? texts[refusal] : NULL;
+}
+
+int canser_decoder_init(canser_decoder *self, const canser_protocol *protocol, int64_t tick_ns)
+{
+    if (!self || !protocol)
+        return CANSER_NULL;
+    memset(self, 0, sizeof *self);
+    self->protocol = protocol;
+    self->clock.tick_ns = tick_ns;
+    self->skip_end = UINT64_MAX; /* no byte was skipped: the first reject is a resync */
+    return CANSER_OK;
+}
+
+/* A range of memory, to see whether two of them meet. */
+typedef struct {
+    uintptr_t begin, end;
+} span;
+
+static span span_of(const void *p, size_t count, size_t size)
+{
+    const uintptr_t begin = (uintptr_t)p;
+    return (span){begin, p ? begin + count * size : begin};
+}
+
+static bool spans_meet(span a, span b)
+{
+    return a.begin < b.end && b.begin < a.end;
+}
+
+static bool misaligned(const void *p, size_t alignment)
+{
+    return (uintptr_t)p % alignment != 0;
+}
+
+/* Everything that can be wrong with a batch and the input it is to be filled
+ * from. Sets the counts to zero. */
+static int check_batch(canser_batch *batch, const uint8_t *data, size_t data_len)
+{
+    if (!batch)
+        return CANSER_NULL;
+    batch->frame_count = 0;
+    batch->control_count = 0;
+    if (!batch->frames && batch->frame_cap)
+        return CANSER_NULL;
+    if (misaligned(batch->frames, _Alignof(canser_frame)) ||
+        misaligned(batch->offsets, _Alignof(int64_t)) ||
+        misaligned(batch->controls, _Alignof(canser_control)))
+        return CANSER_MISALIGNED;
+
+    const span spans[] = {
+        span_of(data, data_len, 1),
+        span_of(batch->frames, batch->frame_cap, sizeof(canser_frame)),
+        span_of(batch->offsets, batch->frame_cap, sizeof(int64_t)),
+        span_of(batch->controls, batch->control_cap, sizeof(canser_control)),
+    };
+    for (size_t i = 0; i < sizeof spans / sizeof *spans; i++)
+        for (size_t k = 0; k < i; k++)
+            if (spans_meet(spans[i], spans[k]))
+                return CANSER_OVERLAP;
+    return CANSER_OK;
+}
+
+/* Scan the held bytes, with `data` behind them, in a copy that has room for a
+ * window behind each: all that is undecided starts there. Returns the bytes of
+ * `data` inside the packets found; what is not decided is held again. */
+static size_t scan_carry(canser_decoder *self, const uint8_t *data, size_t data_len,
+                         canser_batch *batch, uint64_t base, scan_mode mode)
+{
+    uint8_t bridge[2 * CANSER_PACKET_MAX + SCAN_WINDOW] = {0};
+    const size_t held = self->carry_len;
+    const size_t taken = data_len < CANSER_PACKET_MAX ? data_len : CANSER_PACKET_MAX;
+
+    memcpy(bridge, self->carry, held);
+    if (taken)
+        memcpy(bridge + held, data, taken);
+    const scan_stop at =
+        self->protocol->codec->scan(self, bridge, 0, held, held + taken, base, batch, mode);
+    if (at.pos >= held) {
+        self->carry_len = 0;
+        return at.pos - held;
+    }
+    /* Bytes are wanting only where fewer than a longest packet are there, so
+     * all of `data` is in the bridge and can be held. At a full array only what
+     * was held before stays so. */
+    const size_t end = at.wants_more ? held + taken : held;
+    self->carry_len = (uint8_t)(end - at.pos);
+    memcpy(self->carry, bridge + at.pos, self->carry_len);
+    return end - held;
+}
+
+int canser_decoder_feed(canser_decoder *self, const uint8_t *data, size_t data_len,
+                        canser_batch *batch, size_t *used)
+{
+    if (used)
+        *used = 0;
+    const int status = check_batch(batch, data, data_len);
+    if (status)
+        return status;
+    if (!self || !used || !self->protocol || (!data && data_len))
+        return CANSER_NULL;
+
+    const struct canser_codec *const codec = self->protocol->codec;
+    const uint64_t offset = self->stats.bytes_in; /* of data[0] */
+    size_t pos = 0;
+
+    if (self->carry_len) {
+        pos = scan_carry(self, data, data_len, batch, offset - self->carry_len, SCAN_EDGE);
+        if (self->carry_len) {
+            self->stats.bytes_in += pos;
+            *used = pos;
+            return CANSER_OK;
+        }
+    }
+    if (data_len - pos >= SCAN_WINDOW)
+        pos = codec->scan(self, data, pos, data_len - SCAN_WINDOW + 1, data_len, offset, batch,
+                          SCAN_BODY)
+                  .pos;
+    if (data_len - pos < SCAN_WINDOW && pos < data_len) {
+        uint8_t tail[2 * SCAN_WINDOW] = {0};
+        const size_t tail_len = data_len - pos;
+
+        memcpy(tail, data + pos, tail_len);
+        const scan_stop at =
+            codec->scan(self, tail, 0, tail_len, tail_len, offset + pos, batch, SCAN_EDGE);
+        pos += at.pos;
+        if (at.wants_more) {
+            self->carry_len = (uint8_t)(tail_len - at.pos);
+            memcpy(self->carry, tail + at.pos, self->carry_len);
+            pos = data_len;
+        }
+    }
+    self->stats.bytes_in += pos;
+    *used = pos;
+    return CANSER_OK;
+}
+
+int canser_decoder_flush(canser_decoder *self, canser_batch *batch)
+{
+    const int status = check_batch(batch, NULL, 0);
+    if (status)
+        return status;
+    if (!self || !self->protocol)
+        return CANSER_NULL;
+    if (self->carry_len)
+        scan_carry(self, NULL, 0, batch, self->stats.bytes_in - self->carry_len, SCAN_END);
+    return CANSER_OK;
+}
+
+int canser_encode(const canser_protocol *protocol, int64_t tick_ns, const canser_frame *frames,
+                  size_t frame_count, uint8_t *out, size_t out_cap, canser_encoded *result)
+{
+    if (!result)
+        return CANSER_NULL;
+    *result = (canser_encoded){0, 0, CANSER_REFUSAL_NONE};
+    if (!protocol || (!frames && frame_count) || (!out && out_cap))
+        return CANSER_NULL;
+    if (misaligned(frames, _Alignof(canser_frame)))
+        return CANSER_MISALIGNED;
+    if (spans_meet(span_of(frames, frame_count, sizeof *frames), span_of(out, out_cap, 1)))
+        return CANSER_OVERLAP;
+
+    protocol->codec->encode(frames, frame_count, tick_ns, out, out_cap, result);
+    /* Too near the end of `out` for wide stores: one by one through a window. */
+    while (!result->refusal && result->frame_count < frame_count) {
+        uint8_t window[SCAN_WINDOW];
+        canser_encoded one;
+
+        protocol->codec->encode(frames + result->frame_count, 1, tick_ns, window, sizeof window,
+                                &one);
+        result->refusal = one.refusal;
+        if (one.byte_count > out_cap - result->byte_count)
+            break;
+        if (one.byte_count)
+            memcpy(out + result->byte_count, window, one.byte_count);
+        result->byte_count += one.byte_count;
+        result->frame_count += one.frame_count;
+    }
+    return result->refusal ? CANSER_REFUSED : CANSER_OK;
+}

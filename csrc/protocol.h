@@ -1,0 +1,198 @@
+/* Private: the list of protocols, the functions behind a row, and what every
+ * wire format needs: loads and stores in a fixed byte order, payload masks. */
+#ifndef CANSER_PROTOCOL_H
+#define CANSER_PROTOCOL_H
+
+#include "canser.h"
+
+#include <stdbool.h>
+#include <string.h>
+
+/* The list. A new protocol is one C file that defines `canser_protocol_NAME`,
+ * and one row here, in the order of the names. */
+#define CANSER_PROTOCOLS(ROW) \
+    ROW(cantalope)            \
+    ROW(seeed)                \
+    ROW(serial)
+
+#define CANSER_DECLARE(name) extern const canser_protocol canser_protocol_##name;
+CANSER_PROTOCOLS(CANSER_DECLARE)
+#undef CANSER_DECLARE
+
+/* Compiler extensions, one macro each. */
+#if defined(__GNUC__)
+#define CANSER_INLINE static inline __attribute__((always_inline))
+#define CANSER_COLD static __attribute__((noinline, cold))
+#define CANSER_LIKELY(x) __builtin_expect(!!(x), 1)
+#define CANSER_PREFETCH_READ(p) __builtin_prefetch((p), 0)
+#define CANSER_PREFETCH_WRITE(p) __builtin_prefetch((p), 1)
+#elif defined(_MSC_VER)
+#define CANSER_INLINE static __forceinline
+#define CANSER_COLD static __declspec(noinline)
+#define CANSER_LIKELY(x) (x)
+#define CANSER_PREFETCH_READ(p) ((void)(p))
+#define CANSER_PREFETCH_WRITE(p) ((void)(p))
+#else
+#define CANSER_INLINE static inline
+#define CANSER_COLD static
+#define CANSER_LIKELY(x) (x)
+#define CANSER_PREFETCH_READ(p) ((void)(p))
+#define CANSER_PREFETCH_WRITE(p) ((void)(p))
+#endif
+
+#if defined(__BYTE_ORDER__) && __BYTE_ORDER__ == __ORDER_BIG_ENDIAN__
+#define CANSER_BIG_ENDIAN 1
+#else
+#define CANSER_BIG_ENDIAN 0
+#endif
+
+/* Limits of CAN 2.0 (ISO 11898-1). */
+enum { DLC_MAX = 8, ID_STD_MAX = 0x7FF, ID_EXT_MAX = 0x1FFFFFFF };
+
+/* How a scan treats the end of its input. */
+typedef enum {
+    SCAN_BODY, /* at every position a whole window is there */
+    SCAN_EDGE, /* what lacks bytes waits for them */
+    SCAN_END   /* what lacks bytes is a reject: the stream has ended */
+} scan_mode;
+
+/* Where a scan stopped: at its end, at a full array, or for want of bytes. */
+typedef struct {
+    size_t pos;
+    bool wants_more;
+} scan_stop;
+
+/* The bytes that may be read behind any candidate, whether they belong to the
+ * stream or are padding: the longest packet, and the longest wide load. */
+enum { SCAN_WINDOW = CANSER_PACKET_MAX };
+
+/* What a probe says of one position. */
+typedef enum { PROBE_FRAME, PROBE_CONTROL, PROBE_MORE, PROBE_REJECT } probe_kind;
+
+typedef struct {
+    probe_kind kind;
+    size_t value; /* the packet's length, or the reason of the reject */
+} probe_result;
+
+CANSER_INLINE probe_result probe_frame(size_t len)
+{
+    return (probe_result){PROBE_FRAME, len};
+}
+
+CANSER_INLINE probe_result probe_control(size_t len)
+{
+    return (probe_result){PROBE_CONTROL, len};
+}
+
+CANSER_INLINE probe_result probe_more(void)
+{
+    return (probe_result){PROBE_MORE, 0};
+}
+
+CANSER_INLINE probe_result probe_reject(size_t reason)
+{
+    return (probe_result){PROBE_REJECT, reason};
+}
+
+/* What a wire format does for the decoder. */
+struct canser_codec {
+    /* Take the packets that start in data[pos..stop); `len` bytes are the
+     * stream's, and SCAN_WINDOW bytes are readable behind each position before
+     * `stop`. `base` is the stream offset of data[0]. Appends to the batch and
+     * adds to the decoder's clock and counters, all but bytes_in. */
+    scan_stop (*scan)(canser_decoder *self, const uint8_t *data, size_t pos, size_t stop,
+                      size_t len, uint64_t base, canser_batch *batch, scan_mode mode);
+    /* Encode frames one behind the other, until one is refused or fewer than
+     * SCAN_WINDOW bytes are left in `out`. */
+    void (*encode)(const canser_frame *frames, size_t frame_count, int64_t tick_ns, uint8_t *out,
+                   size_t out_cap, canser_encoded *result);
+};
+
+CANSER_INLINE uint32_t load_le16(const uint8_t *p)
+{
+    return (uint32_t)p[0] | (uint32_t)p[1] << 8;
+}
+
+CANSER_INLINE uint32_t load_le32(const uint8_t *p)
+{
+#if CANSER_BIG_ENDIAN
+    return load_le16(p) | load_le16(p + 2) << 16;
+#else
+    uint32_t value;
+    memcpy(&value, p, sizeof value);
+    return value;
+#endif
+}
+
+CANSER_INLINE void store_le32(uint8_t *p, uint32_t value)
+{
+#if CANSER_BIG_ENDIAN
+    for (int i = 0; i < 4; i++)
+        p[i] = (uint8_t)(value >> 8 * i);
+#else
+    memcpy(p, &value, sizeof value);
+#endif
+}
+
+/* The first `dlc` of eight bytes, the rest zero. A table and one wide load:
+ * memcpy of a variable length is ten times slower. */
+CANSER_INLINE void copy_payload(uint8_t *to, const uint8_t *from, size_t dlc)
+{
+    static const uint8_t keep[DLC_MAX + 1][8] = {
+        {0, 0, 0, 0, 0, 0, 0, 0},
+        {255, 0, 0, 0, 0, 0, 0, 0},
+        {255, 255, 0, 0, 0, 0, 0, 0},
+        {255, 255, 255, 0, 0, 0, 0, 0},
+        {255, 255, 255, 255, 0, 0, 0, 0},
+        {255, 255, 255, 255, 255, 0, 0, 0},
+        {255, 255, 255, 255, 255, 255, 0, 0},
+        {255, 255, 255, 255, 255, 255, 255, 0},
+        {255, 255, 255, 255, 255, 255, 255, 255},
+    };
+    uint64_t payload, mask;
+    memcpy(&payload, from, sizeof payload);
+    memcpy(&mask, keep[dlc], sizeof mask);
+    payload &= mask;
+    memcpy(to, &payload, sizeof payload);
+}
+
+/* All fields of a record but its time. Four byte stores in a row cost more than
+ * the payload; one word of eight bytes costs nothing. */
+CANSER_INLINE void store_frame(canser_frame *frame, uint32_t id, unsigned ext, unsigned rtr,
+                               unsigned err, size_t dlc, const uint8_t *payload)
+{
+#if CANSER_BIG_ENDIAN
+    frame->id = id;
+    frame->ext = (uint8_t)ext;
+    frame->rtr = (uint8_t)rtr;
+    frame->dlc = (uint8_t)dlc;
+    frame->err = (uint8_t)err;
+#else
+    const uint32_t flags = ext | rtr << 8 | (uint32_t)dlc << 16 | err << 24;
+    const uint64_t head = id | (uint64_t)flags << 32;
+    memcpy(frame, &head, sizeof head);
+#endif
+    copy_payload(frame->data, payload, rtr ? 0 : dlc);
+}
+
+/* Whether the format cannot carry a frame: a dlc over 8, an id over the limit of
+ * its kind, a kind it does not have. One test and no branch on ext, which nobody
+ * can predict on mixed traffic; only a refusal asks which it was. */
+CANSER_INLINE int refuse_frame(const canser_frame *frame, bool has_ext, bool has_err)
+{
+    const bool ext = frame->ext != 0, err = frame->err != 0;
+    const uint32_t limit = ID_STD_MAX | ((0 - (uint32_t)ext) & ID_EXT_MAX);
+    const bool odd_kind = (ext && !has_ext) | (err && !has_err);
+
+    if (CANSER_LIKELY(!((frame->dlc > DLC_MAX) | (frame->id > limit) | odd_kind)))
+        return CANSER_REFUSAL_NONE;
+    if (err && !has_err)
+        return CANSER_REFUSAL_ERR;
+    if (ext && !has_ext)
+        return CANSER_REFUSAL_EXT;
+    if (frame->dlc > DLC_MAX)
+        return CANSER_REFUSAL_DLC;
+    return ext ? CANSER_REFUSAL_ID_EXT : CANSER_REFUSAL_ID;
+}
+
+#endif
