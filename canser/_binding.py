@@ -1,0 +1,282 @@
+"""The only importer of the compiled module: buffer checks, status to exception.
+
+Nothing of cffi leaves this module but opaque pointers. Every check that C cannot
+make is made here, before a byte is touched; alignment and overlap are C's.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import count
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from canser._core import ffi, lib
+from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, describe
+
+if TYPE_CHECKING:
+    from typing_extensions import Buffer
+
+Pointer = Any
+Offsets = npt.NDArray[np.int64] | npt.NDArray[np.uint64]
+
+# The record of Python is the struct of C, field by field.
+for _name, _field in ffi.typeof("canser_frame").fields:
+    assert FRAME_DTYPE.fields is not None
+    assert FRAME_DTYPE.fields[_name][1] == _field.offset
+    assert FRAME_DTYPE.fields[_name][0].itemsize == ffi.sizeof(_field.type)
+assert FRAME_DTYPE.itemsize == ffi.sizeof("canser_frame")
+assert ffi.typeof("canser_frame").fields[-1][0] == "ts" and NO_TIME == -(2**63)
+
+# How many control packets C may leave before it must ask for room again.
+_CONTROL_CAP: Final = 1024
+_CONTROL_DTYPE: Final = np.dtype([("offset", "u8"), ("len", "u1"), ("bytes", "u1", (23,))])
+assert _CONTROL_DTYPE.itemsize == ffi.sizeof("canser_control")
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """One row of the table of protocols in C."""
+
+    name: str
+    aliases: tuple[str, ...]
+    frame_min: int  # bytes of the shortest frame
+    frame_max: int  # bytes of the longest frame as encode writes it
+    has_clock: bool  # frames carry a device timestamp
+    row: Pointer
+
+
+class Control(NamedTuple):
+    """A packet that is valid but is no CAN frame: its stream offset and its bytes."""
+
+    offset: int
+    data: bytes
+
+
+class Progress(NamedTuple):
+    """What one call took and gave: bytes of the input, frames into the output."""
+
+    used: int
+    count: int
+
+
+def _text(pointer: Pointer) -> str:
+    return str(ffi.string(pointer).decode("ascii"))
+
+
+def _read_table() -> Iterator[Protocol]:
+    for index in count():
+        row = lib.canser_protocol_at(index)
+        if not row:
+            return
+        yield Protocol(
+            name=_text(row.name),
+            aliases=tuple(_text(row.aliases).split()),
+            frame_min=row.frame_min,
+            frame_max=row.frame_max,
+            has_clock=bool(row.has_clock),
+            row=row,
+        )
+
+
+PROTOCOLS: Final = {protocol.name: protocol for protocol in _read_table()}
+_SPELLINGS: Final = {
+    spelling: protocol
+    for protocol in PROTOCOLS.values()
+    for spelling in (protocol.name, *protocol.aliases)
+}
+REJECT_NAMES: Final = tuple(
+    _text(lib.canser_reject_name(reason)) for reason in range(lib.CANSER_REJECT_COUNT)
+)
+
+
+def find_protocol(name: str) -> Protocol:
+    """Return the protocol of a name or accepted spelling, or raise."""
+    if not isinstance(name, str):
+        raise TypeError(f"protocol must be a name such as 'serial', not {describe(name)}")
+    try:
+        return _SPELLINGS[name]
+    except KeyError:
+        have = ", ".join(PROTOCOLS)
+        raise ValueError(f"unknown protocol {name!r}; have: {have}") from None
+
+
+def input_bytes(data: "Buffer") -> Pointer:
+    """Return a pointer to the caller's bytes, no copy; it holds the buffer."""
+    try:
+        view = memoryview(data)
+    except (TypeError, ValueError):  # ValueError: datetime64 arrays and the like
+        hint = "; encode it first" if isinstance(data, str) else ""
+        raise TypeError(
+            f"data must be bytes or another buffer of bytes, not {describe(data)}{hint}"
+        ) from None
+    if view.format.lstrip("@=<>!") not in ("B", "b", "c"):
+        raise TypeError(
+            f"data must hold single bytes, not {describe(data)} with items of format "
+            f"{view.format!r}; pass .view('u1') of an array, or its bytes"
+        )
+    if not view.c_contiguous:
+        raise BufferError(
+            "data is not contiguous; pass a contiguous buffer, such as np.ascontiguousarray(data)"
+        )
+    return ffi.from_buffer("uint8_t[]", view)
+
+
+def _check_array(array: Any, name: str, dtypes: tuple[Any, ...], make: str) -> None:
+    """Raise unless `array` is one-dimensional, of a dtype, and contiguous."""
+    if not isinstance(array, np.ndarray) or array.dtype not in dtypes:
+        raise TypeError(f"{name} must be an array as {make} makes, not {describe(array)}")
+    if array.ndim != 1:
+        raise ValueError(f"{name} has {array.ndim} dimensions; it must have one")
+    if not array.flags.c_contiguous:
+        raise ValueError(f"{name} is not contiguous; pass np.ascontiguousarray({name})")
+
+
+def _check_writeable(array: npt.NDArray[Any], name: str) -> None:
+    if not array.flags.writeable:
+        raise BufferError(f"{name} is read-only; pass an array that can be written")
+
+
+def input_frames(frames: FrameArray) -> Pointer:
+    """Return a pointer to frames to read, no copy; it holds the array."""
+    _check_array(frames, "frames", (FRAME_DTYPE,), "np.empty(n, canser.FRAME_DTYPE)")
+    return ffi.from_buffer("canser_frame[]", frames)
+
+
+def output_frames(out: FrameArray) -> Pointer:
+    """Return a pointer to room for frames; it holds the array."""
+    _check_array(out, "out", (FRAME_DTYPE,), "np.empty(n, canser.FRAME_DTYPE)")
+    _check_writeable(out, "out")
+    if not len(out):
+        raise ValueError("out has room for 0 frames; it needs room for at least 1")
+    return ffi.from_buffer("canser_frame[]", out)
+
+
+_OFFSET_DTYPES = (np.dtype(np.int64), np.dtype(np.uint64))
+
+
+def output_offsets(offsets: Offsets | None, frame_cap: int) -> Pointer:
+    """Return a pointer to room for stream offsets, or NULL; it holds the array."""
+    if offsets is None:
+        return ffi.NULL
+    _check_array(offsets, "offsets", _OFFSET_DTYPES, "np.empty(n, np.int64)")
+    _check_writeable(offsets, "offsets")
+    if len(offsets) < frame_cap:
+        raise ValueError(
+            f"offsets has room for {len(offsets)}, out for {frame_cap} frames; "
+            "make offsets as long as out"
+        )
+    return ffi.from_buffer("int64_t[]", offsets)
+
+
+def output_bytes(out: npt.NDArray[np.uint8]) -> Pointer:
+    """Return a pointer to room for bytes; it holds the array."""
+    _check_array(out, "out", (np.dtype(np.uint8),), "np.empty(n, np.uint8)")
+    _check_writeable(out, "out")
+    return ffi.from_buffer("uint8_t[]", out)
+
+
+def _raise_status(status: int) -> None:
+    if status == lib.CANSER_MISALIGNED:
+        raise ValueError(
+            "an array of frames or offsets does not begin at a multiple of 8 bytes; "
+            "pass a fresh one, such as np.empty(n, canser.FRAME_DTYPE)"
+        )
+    if status == lib.CANSER_OVERLAP:
+        raise ValueError("input and output share memory; pass arrays apart from each other")
+    raise AssertionError(f"canser's C core returned the status {status}")
+
+
+class Stream:
+    """The state of one stream in C, with room for its control packets.
+
+    Not safe for two threads: its owner takes a lock.
+    """
+
+    def __init__(self, protocol: Protocol, tick_ns: int) -> None:
+        self._protocol = protocol
+        self._tick_ns = tick_ns
+        self._state = ffi.new("canser_decoder *")
+        self._used = ffi.new("size_t *")
+        self._batch = ffi.new("canser_batch *")
+        self._controls = np.zeros(_CONTROL_CAP, _CONTROL_DTYPE)
+        self._batch.controls = self._controls_at = ffi.from_buffer(
+            "canser_control[]", self._controls
+        )
+        self._batch.control_cap = _CONTROL_CAP
+        self.reset()
+
+    def reset(self) -> None:
+        """Start anew: counters zero, nothing held, the clock not started."""
+        lib.canser_decoder_init(self._state, self._protocol.row, self._tick_ns)
+
+    def feed(self, data: Pointer, data_len: int, out: Pointer, cap: int, at: Pointer) -> Progress:
+        """Decode bytes into `out`; stops early where `out` or the controls are full."""
+        batch = self._batch
+        batch.frames, batch.frame_cap, batch.offsets = out, cap, at
+        status = lib.canser_decoder_feed(self._state, data, data_len, batch, self._used)
+        if status:
+            _raise_status(status)
+        return Progress(self._used[0], batch.frame_count)
+
+    def flush(self, out: Pointer, cap: int, at: Pointer) -> int:
+        """End the stream; returns the frames. Again while bytes are pending."""
+        batch = self._batch
+        batch.frames, batch.frame_cap, batch.offsets = out, cap, at
+        status = lib.canser_decoder_flush(self._state, batch)
+        if status:
+            _raise_status(status)
+        return int(batch.frame_count)
+
+    def controls(self) -> npt.NDArray[np.void] | None:
+        """Return a copy of the control packets of the last call, None for none."""
+        found = self._batch.control_count
+        return self._controls[:found].copy() if found else None
+
+    @property
+    def pending(self) -> int:
+        """Bytes held."""
+        return int(self._state.carry_len)
+
+    def counters(self) -> dict[str, Any]:
+        """Return every field of `Stats` by name."""
+        stats = self._state.stats
+        values = {name: getattr(stats, name) for name, _ in ffi.typeof("canser_stats").fields}
+        values["rejects"] = dict(zip(REJECT_NAMES, stats.rejects, strict=True))
+        values["pending"] = self.pending
+        return values
+
+
+def unpack_controls(rows: npt.NDArray[np.void]) -> list[Control]:
+    """Return control packets as Python values."""
+    return [
+        Control(int(row["offset"]), row["bytes"][: row["len"]].tobytes()) for row in rows
+    ]
+
+
+def encode_into(
+    protocol: Protocol, tick_ns: int, frames: FrameArray, out: npt.NDArray[np.uint8]
+) -> int:
+    """Encode all frames into `out`, and return the bytes written."""
+    source, target = input_frames(frames), output_bytes(out)
+    result = ffi.new("canser_encoded *")
+    status = lib.canser_encode(
+        protocol.row, tick_ns, source, len(frames), target, len(out), result
+    )
+    done = result.frame_count
+    if status == lib.CANSER_REFUSED:
+        row = frames[done]
+        why = _text(lib.canser_refusal_text(result.refusal))
+        raise ValueError(
+            f"{protocol.name} cannot carry frame {done} (id {int(row['id']):#x}, "
+            f"ext {int(row['ext'])}, dlc {row['dlc']}): {why}"
+        )
+    if status:
+        _raise_status(status)
+    if done < len(frames):
+        raise ValueError(
+            f"out has room for {len(out)} bytes, enough for {done} of {len(frames)} frames; "
+            f"{len(frames) * protocol.frame_max} bytes are always enough"
+        )
+    return int(result.byte_count)

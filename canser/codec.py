@@ -1,0 +1,355 @@
+"""Decoding and encoding without I/O: `Decoder` for a stream, `decode` and `encode` for a whole."""
+
+import operator
+import threading
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from canser import _binding
+from canser._binding import Control, Offsets, Pointer, Progress
+from canser.frames import FRAME_DTYPE, FrameArray
+
+if TYPE_CHECKING:
+    from typing_extensions import Buffer
+
+__all__ = ["TS_UNITS", "Control", "Decoder", "Stats", "decode", "encode", "protocols"]
+
+# Nanoseconds in one tick of a device's clock.
+TS_UNITS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+
+# Room for this many frames is made without asking how many there will be: 1 MiB.
+_SMALL = (1 << 20) // FRAME_DTYPE.itemsize
+
+# A decoder keeps this many control packets that nobody has taken: 2 MiB, an
+# hour and more of pings ten times a second.
+_CONTROLS_KEPT = 1 << 16
+
+
+def protocols() -> tuple[str, ...]:
+    """Return the names of the protocols, in alphabetical order."""
+    return tuple(_binding.PROTOCOLS)
+
+
+def tick_ns(ts_unit: str) -> int:
+    """Return the nanoseconds of a device clock's unit, or raise ValueError."""
+    try:
+        return TS_UNITS[ts_unit]
+    except (KeyError, TypeError):
+        raise ValueError(f"unknown ts_unit {ts_unit!r}; have: {', '.join(TS_UNITS)}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Stats:
+    """The counters of a stream, a snapshot.
+
+    Laws: `bytes_in == bytes_framed + bytes_control + bytes_skipped + pending`, and
+    the rejects add up to `bytes_skipped`. They depend on the bytes alone, not on
+    how the stream was cut into pieces.
+    """
+
+    bytes_in: int  # bytes taken
+    bytes_framed: int  # of these, inside frames
+    bytes_control: int  # inside control packets
+    bytes_skipped: int  # inside no packet
+    frames: int
+    controls: int  # packets that are valid but no CAN frames
+    resyncs: int  # unbroken runs of skipped bytes
+    rejects: Mapping[str, int]  # skipped bytes by the reason why no packet starts there
+    pending: int  # bytes held: the start of a packet that is not whole yet
+    ts_wraps: int  # steps of the device clock forward through zero
+    ts_backsteps: int  # steps of the device clock back: a restart, or false frames
+
+
+class Decoder:
+    """Decode one stream, piece by piece.
+
+    `protocol`: a name of `protocols()` or an accepted spelling. `ts_unit`: the unit
+    of the device's timestamps, "s", "ms", "us" or "ns"; the wire does not tell it,
+    and a protocol without a clock does not use it. ValueError for an unknown one.
+
+    Sans-I/O. It does not matter how the stream is cut. Two threads may share a
+    decoder: they wait for each other. C works without the GIL, so decoders in
+    several threads run in parallel.
+    """
+
+    def __init__(self, protocol: str, *, ts_unit: str = "ms") -> None:
+        self._protocol = _binding.find_protocol(protocol)
+        self._ts_unit = ts_unit
+        self._stream = _binding.Stream(self._protocol, tick_ns(ts_unit))
+        self._lock = threading.Lock()
+        self._controls: deque[npt.NDArray[np.void]] = deque()
+        self._controls_held = 0
+        self._controls_dropped = 0
+
+    def __repr__(self) -> str:
+        return f"Decoder({self.protocol!r}, ts_unit={self._ts_unit!r})"
+
+    @property
+    def protocol(self) -> str:
+        """The protocol's name."""
+        return self._protocol.name
+
+    def feed(self, data: "Buffer") -> FrameArray:
+        """Decode the next bytes; return the frames they complete.
+
+        `data`: any contiguous buffer of bytes, read in place. Returns a new array
+        of FRAME_DTYPE, shape (n,), that owns its memory. All of `data` is taken; a
+        packet that is not whole is held (`pending`). TypeError, BufferError for
+        data that is no contiguous buffer of bytes.
+        """
+        source = _binding.input_bytes(data)
+        with self._lock:
+            return self._collect(source, ends=False)
+
+    def feed_into(
+        self, data: "Buffer", out: FrameArray, offsets: Offsets | None = None
+    ) -> Progress:
+        """Decode the next bytes into `out`; allocate nothing.
+
+        `data`: any contiguous buffer of bytes, read in place. `out`: array of
+        FRAME_DTYPE, shape (n,), n >= 1, contiguous. `offsets`: array of int64 or
+        uint64, at least as long: the position of each frame's first byte in the
+        stream. Returns `(used, count)`: the bytes taken, and the frames now in
+        `out[:count]`. When `out` is full, `used` may be less than the length of
+        `data`: call again with `data[used:]`. The rest of `out` stays as it was.
+
+        TypeError for a wrong type or dtype; ValueError for wrong shape, room,
+        alignment, or memory that overlaps; BufferError for what is read-only or
+        not contiguous. After an error nothing was taken.
+        """
+        source = _binding.input_bytes(data)
+        target = _binding.output_frames(out)
+        at = _binding.output_offsets(offsets, len(out))
+        with self._lock:
+            return self._feed(source, len(source), target, len(out), at)
+
+    def flush(self) -> FrameArray:
+        """End the stream: scan what is held; return the last frames.
+
+        A candidate that lacks bytes counts as skipped (reject "cut"). Returns a new
+        array of FRAME_DTYPE. Feeding may go on afterwards, as after a gap: counters,
+        offsets and clock go on.
+        """
+        with self._lock:
+            return self._collect(_binding.input_bytes(b""), ends=True)
+
+    def flush_into(self, out: FrameArray, offsets: Offsets | None = None) -> int:
+        """End the stream as `flush` does, into `out`; return the number of frames.
+
+        Call again while `pending` is not 0: `out` was full. `out`, `offsets` and
+        errors as in `feed_into`.
+        """
+        target = _binding.output_frames(out)
+        at = _binding.output_offsets(offsets, len(out))
+        with self._lock:
+            return self._flush(target, len(out), at)
+
+    def reset(self) -> None:
+        """Forget everything: counters zero, nothing held, no control packets."""
+        with self._lock:
+            self._stream.reset()
+            self._controls.clear()
+            self._controls_held = self._controls_dropped = 0
+
+    @property
+    def stats(self) -> Stats:
+        """The counters as they are now."""
+        with self._lock:
+            values = self._stream.counters()
+        values["rejects"] = MappingProxyType(values["rejects"])
+        return Stats(**values)
+
+    @property
+    def pending(self) -> int:
+        """Bytes held: the start of a packet that is not whole yet."""
+        return self._stream.pending
+
+    def take_controls(self) -> list[Control]:
+        """Return the control packets since the last call, oldest first: offset and bytes.
+
+        `Stats.controls` counts them all. Of those that nobody takes, the newest 65,536
+        are kept, and `controls_dropped` counts the others.
+        """
+        with self._lock:
+            batches = list(self._controls)
+            self._controls.clear()
+            self._controls_held = 0
+        return [control for rows in batches for control in _binding.unpack_controls(rows)]
+
+    @property
+    def controls_dropped(self) -> int:
+        """Control packets that were not taken in time, and are counted only."""
+        return self._controls_dropped
+
+    def _feed(
+        self, source: Pointer, source_len: int, target: Pointer, cap: int, at: Pointer
+    ) -> Progress:
+        """Feed until all is taken or `target` is full; the lock is held."""
+        used, count = self._stream.feed(source, source_len, target, cap, at)
+        while self._keep_controls() and used < source_len and count < cap:
+            more = self._stream.feed(
+                source + used, source_len - used, target + count, cap - count, at and at + count
+            )
+            used += more.used
+            count += more.count
+        return Progress(used, count)
+
+    def _flush(self, target: Pointer, cap: int, at: Pointer) -> int:
+        """Flush into `target`; the lock is held."""
+        # The bytes held are fewer than the room for control packets.
+        count = self._stream.flush(target, cap, at)
+        self._keep_controls()
+        return count
+
+    def _keep_controls(self) -> bool:
+        """Move what the last call left in C; True if there was anything."""
+        rows = self._stream.controls()
+        if rows is None:
+            return False
+        self._controls.append(rows)
+        self._controls_held += len(rows)
+        while self._controls_held - len(self._controls[0]) >= _CONTROLS_KEPT:
+            dropped = len(self._controls.popleft())
+            self._controls_held -= dropped
+            self._controls_dropped += dropped
+        return True
+
+    def _collect(self, source: Pointer, *, ends: bool) -> FrameArray:
+        """Decode all of `source` into a new array, of just the size; the lock is held."""
+        source_len = len(source)
+        none = _binding.output_offsets(None, 0)
+        cap = min(self._most_frames(source_len), _SMALL)
+        out = np.empty(cap, FRAME_DTYPE)
+        used = count = 0
+        while True:
+            target = _binding.output_frames(out)
+            more = self._feed(source + used, source_len - used, target + count, cap - count, none)
+            used += more.used
+            count += more.count
+            if used == source_len and ends and count < cap:
+                count += self._flush(target + count, cap - count, none)
+            if used == source_len and not (ends and self._stream.pending):
+                break
+            # Full. The frames so far tell how many there will be; where the rest is
+            # denser than they were, this happens again.
+            expected = int(count * (source_len / max(used, 1)) * 1.02) + _SMALL
+            cap = min(max(expected, 2 * count), count + self._most_frames(source_len - used))
+            larger = np.empty(cap, FRAME_DTYPE)
+            larger[:count] = out[:count]
+            out = larger
+        if cap <= _SMALL:
+            return out[:count].copy()
+        del target  # it holds the array, which may move when it shrinks
+        out.resize(count, refcheck=False)
+        return out
+
+    def _fill(
+        self, data: "Buffer", out: FrameArray, offsets: Offsets | None
+    ) -> tuple[int, int]:
+        """Decode all of `data` and its end into `out`.
+
+        Returns the frames that are there, and those that it needs room for.
+        """
+        source = _binding.input_bytes(data)
+        used, count = self.feed_into(data, out, offsets)
+        if used == len(source) and count < len(out):
+            rest = None if offsets is None else offsets[count:]
+            count += self.flush_into(out[count:], rest)
+        # What is left may be noise. If not, tell how much room all would take.
+        needed = count
+        spare = np.empty(min(self._most_frames(len(source) - used), _SMALL), FRAME_DTYPE)
+        target, none = _binding.output_frames(spare), _binding.output_offsets(None, 0)
+        while used < len(source):
+            more = self._feed(source + used, len(source) - used, target, len(spare), none)
+            used += more.used
+            needed += more.count
+        while self.pending:
+            needed += self.flush_into(spare)
+        return count, needed
+
+    def _most_frames(self, source_len: int) -> int:
+        """Return room that is enough for so many bytes, whatever they are."""
+        return (source_len + self._stream.pending) // self._protocol.frame_min + 1
+
+
+def decode(
+    data: "Buffer",
+    protocol: str,
+    *,
+    ts_unit: str = "ms",
+    out: FrameArray | None = None,
+    offsets: Offsets | None = None,
+    threads: int = 1,
+) -> FrameArray:
+    """Decode a whole buffer, to its end.
+
+    `data`: any contiguous buffer of bytes (bytes, bytearray, memoryview, mmap,
+    numpy), read in place. Returns the frames, FRAME_DTYPE, shape (n,): a new array,
+    or `out[:n]` where `out` is given. `offsets`: array of int64 or uint64, filled
+    with the position of each frame's first byte. `ts_unit` as for `Decoder`.
+
+    ValueError if `out` or `offsets` is too small, with the number that is needed;
+    other errors as for `Decoder.feed_into`. For the counters use a `Decoder`.
+    """
+    check_threads(threads)
+    decoder = Decoder(protocol, ts_unit=ts_unit)
+    if out is None and offsets is None:
+        return decoder._collect(_binding.input_bytes(data), ends=True)
+    frames = np.empty(len(offsets), FRAME_DTYPE) if out is None else out
+    count, needed = decoder._fill(data, frames, offsets)
+    if needed > count:
+        name = "offsets" if out is None else "out"
+        raise ValueError(
+            f"{name} has room for {count} frames, but the data holds {needed}; "
+            f"make room for at least {needed}"
+        )
+    return frames[:count]
+
+
+@overload
+def encode(frames: FrameArray, protocol: str, *, ts_unit: str = "ms") -> bytes: ...
+@overload
+def encode(
+    frames: FrameArray, protocol: str, *, ts_unit: str = "ms", out: npt.NDArray[np.uint8]
+) -> npt.NDArray[np.uint8]: ...
+def encode(
+    frames: FrameArray,
+    protocol: str,
+    *,
+    ts_unit: str = "ms",
+    out: npt.NDArray[np.uint8] | None = None,
+) -> bytes | npt.NDArray[np.uint8]:
+    """Encode frames as an adapter sends them, one packet behind the other.
+
+    `frames`: array of FRAME_DTYPE, shape (n,), contiguous. Returns the bytes; or
+    `out[:n]` where `out`, an array of uint8, is given (20 bytes a frame are always
+    enough). Data past the dlc and the data of remote frames are not sent. A protocol
+    with a clock sends `ts` in ticks of `ts_unit`, rounded down, modulo 2**32 as a
+    device's counter wraps; the others send no time.
+
+    ValueError for a frame that the format cannot carry, with its index and why: an
+    id over the limit of its kind, a dlc over 8, extended frames in `cantalope`,
+    error frames in `seeed` and `cantalope`, an unknown time (NaT) in `serial`; and
+    for an `out` that is too small.
+    """
+    row = _binding.find_protocol(protocol)
+    unit = tick_ns(ts_unit)
+    if out is not None:
+        return out[: _binding.encode_into(row, unit, frames, out)]
+    _binding.input_frames(frames)  # before its length is asked for
+    room = np.empty(len(frames) * row.frame_max, np.uint8)
+    return room[: _binding.encode_into(row, unit, frames, room)].tobytes()
+
+
+def check_threads(threads: int) -> int:
+    """Return a number of threads, or raise TypeError or ValueError."""
+    number = operator.index(threads)
+    if number < 1:
+        raise ValueError(f"threads is {number}; it must be 1 or more")
+    return number

@@ -1,0 +1,98 @@
+"""The record of a decoded frame, and the choice of frames by can-utils' filters."""
+
+import re
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["FRAME_DTYPE", "NO_TIME", "FrameArray", "describe", "match"]
+
+FrameArray = npt.NDArray[np.void]
+
+FRAME_DTYPE: Final[np.dtype[np.void]] = np.dtype(
+    [
+        ("id", np.uint32),  # arbitration id, 11 or 29 bits, no flag bits
+        ("ext", np.bool_),  # extended (29-bit) frame
+        ("rtr", np.bool_),  # remote frame
+        ("dlc", np.uint8),  # data length code, 0..8
+        ("err", np.bool_),  # error frame
+        ("data", np.uint8, (8,)),  # zero past the dlc; all zero in a remote frame
+        ("ts", np.int64),  # nanoseconds, or NO_TIME
+    ],
+    align=True,
+)
+
+# The `ts` of a frame whose time is not known; as datetime64 or timedelta64 it is NaT.
+NO_TIME: Final = int(np.iinfo(np.int64).min)
+
+# SocketCAN's flags above the 29 bits of an id, as filters write them.
+_EXT, _RTR, _ERR = 0x8000_0000, 0x4000_0000, 0x2000_0000
+
+_FILTER = re.compile(r"(?P<id>[0-9A-Fa-f]{1,8})?(?P<kind>[:~#])(?P<mask>[0-9A-Fa-f]{1,8})")
+
+
+def match(frames: FrameArray, *filters: str) -> npt.NDArray[np.bool_]:
+    """Mark the frames that pass any of the filters, in can-utils' notation.
+
+    `frames`: array of FRAME_DTYPE, any shape. Returns a boolean array of that
+    shape: `frames[canser.match(frames, "123:7FF")]`. Hexadecimal:
+
+    - `ID:MASK`  (id & MASK) == (ID & MASK)
+    - `ID~MASK`  the inverse
+    - `#MASK`    error frames with (id & MASK) != 0; no other filter passes those
+
+    Bits 31 and 30 of ID and MASK stand for extended and remote frames:
+    `123:7FF` passes 0x123 of every kind, `123:C00007FF` standard data frames
+    only. An ID of eight digits means extended. Without a filter all pass.
+    TypeError for another dtype, ValueError for a filter that cannot be read.
+
+    Source: candump's manual page, and the kernel's `can_rcv_filter`.
+    """
+    if getattr(frames, "dtype", None) != FRAME_DTYPE:
+        raise TypeError(
+            f"frames must be an array of canser.FRAME_DTYPE, not {describe(frames)}; "
+            "decode() makes one"
+        )
+    rules = [_parse_filter(text) for text in filters]
+    if not rules:
+        return np.ones(frames.shape, np.bool_)
+    flagged = (
+        frames["id"]
+        | np.where(frames["ext"], np.uint32(_EXT), np.uint32(0))
+        | np.where(frames["rtr"], np.uint32(_RTR), np.uint32(0))
+    )
+    error = frames["err"]
+    passed = np.zeros(frames.shape, np.bool_)
+    for kind, wanted, mask in rules:
+        if kind == "#":
+            passed |= error & ((frames["id"] & mask) != 0)
+        else:
+            same = (flagged & mask) == (wanted & mask)
+            passed |= ~error & (same if kind == ":" else ~same)
+    return passed
+
+
+def _parse_filter(text: str) -> tuple[str, np.uint32, np.uint32]:
+    """Read one filter into its kind, id and mask, flags as SocketCAN has them."""
+    found = _FILTER.fullmatch(text) if isinstance(text, str) else None
+    if not found or (found["kind"] == "#") != (found["id"] is None):
+        raise ValueError(
+            f"cannot read the filter {text!r}; write ID:MASK, ID~MASK or #MASK in hexadecimal, "
+            "such as 123:7FF"
+        )
+    wanted = int(found["id"] or "0", 16)
+    mask = int(found["mask"], 16)
+    if found["kind"] != "#":
+        # An id written with eight digits is extended (can-utils), and the error
+        # flag takes no part: error frames have a filter of their own.
+        if len(found["id"]) == 8:
+            wanted |= _EXT
+        mask &= ~_ERR
+    return found["kind"], np.uint32(wanted), np.uint32(mask)
+
+
+def describe(value: object) -> str:
+    """Name a value's type for an error message, with the dtype of an array."""
+    dtype = getattr(value, "dtype", None)
+    return type(value).__name__ if dtype is None else f"an array of {dtype}"
