@@ -1,0 +1,93 @@
+"""Simulated bus traffic, and what a bad line does to its bytes: data where no adapter is."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from canser.frames import FRAME_DTYPE, FrameArray
+
+if TYPE_CHECKING:
+    from typing_extensions import Buffer
+
+__all__ = ["line_noise", "vehicle"]
+
+_MS = 1_000_000  # nanoseconds
+
+# The periods in ms at which control units of a car send, fast drive-train frames
+# first, and how many of 64 ids have each.
+_PERIODS = ((10, 8), (20, 12), (50, 12), (100, 16), (200, 6), (500, 6), (1000, 4))
+
+
+def vehicle(seconds: float, *, seed: int = 1, extended: bool = True) -> FrameArray:
+    """Make the traffic of a vehicle's bus: 64 ids, each with its period.
+
+    Returns frames in the order of time, FRAME_DTYPE, shape (n,), about 2,000 a second:
+    `ts` in nanoseconds from 0, whole milliseconds. An id's frames have one dlc (eight
+    for most), a counter in the last byte, slow signals in bytes 0 to 3 and constants
+    between. A quarter of the ids is extended, unless `extended` is False. Now and then
+    a tester sends a remote frame. The same arguments give the same frames.
+    """
+    rng = np.random.default_rng(seed)
+    periods = np.repeat([p for p, _ in _PERIODS], [n for _, n in _PERIODS]) * _MS
+    ids = np.sort(rng.choice(np.arange(0x080, 0x700), len(periods), replace=False))
+    span = int(seconds * 1e9)
+    streams = []
+    for number, (arbitration_id, period) in enumerate(zip(ids, periods, strict=True)):
+        start = int(rng.integers(period))
+        due = np.arange(start, span, period, dtype=np.int64)
+        frames = np.zeros(len(due), FRAME_DTYPE)
+        frames["id"] = arbitration_id
+        if extended and number % 4 == 3:  # an id as J1939 makes them
+            frames["id"] = 0x18F00000 | int(arbitration_id) << 8 | number
+            frames["ext"] = True
+        # Arbitration and the control unit's own loop delay a frame, by up to 2 ms.
+        frames["ts"] = due + rng.integers(0, 2 * _MS, len(due))
+        dlc = 8 if rng.random() < 0.7 else int(rng.integers(1, 8))
+        frames["dlc"] = dlc
+        frames["data"] = _payload(rng, frames["ts"], dlc)
+        streams.append(frames)
+    asked = np.zeros(int(seconds / 2), FRAME_DTYPE)  # by a tester, every two seconds
+    asked["id"], asked["rtr"], asked["dlc"] = 0x7E0, True, 2
+    asked["ts"] = np.arange(len(asked), dtype=np.int64) * 2_000 * _MS + 700 * _MS
+    frames = np.concatenate([*streams, asked])
+    frames["ts"] -= frames["ts"] % _MS
+    return frames[np.argsort(frames["ts"], kind="stable")]
+
+
+def _payload(
+    rng: np.random.Generator, ts: npt.NDArray[np.int64], dlc: int
+) -> npt.NDArray[np.uint8]:
+    """Make the payloads of one id: two signals, constants, a counter."""
+    data = np.zeros((len(ts), 8), np.uint8)
+    data[:] = rng.integers(0, 256, 8)
+    for byte in (0, 2):  # two signals of 16 bits, low byte first
+        turn = 2 * np.pi * ts / 1e9 / rng.uniform(3, 30) + rng.uniform(0, 2 * np.pi)
+        signal = (20_000 + 15_000 * np.sin(turn) + rng.normal(0, 20, len(ts))).astype("<u2")
+        data[:, byte : byte + 2] = signal.view(np.uint8).reshape(-1, 2)
+    data[:, dlc - 1] = np.arange(len(ts)) % 16
+    data[:, dlc:] = 0
+    return data
+
+
+def line_noise(data: "Buffer", *, rate: float = 1e-3, seed: int = 1) -> bytes:
+    """Return the bytes as a bad line hands them on.
+
+    A share `rate` of the bytes is hit: a third is lost, a third gets a random byte in
+    front, a third has one bit flipped. The same arguments give the same bytes.
+    """
+    rng = np.random.default_rng(seed)
+    clean = np.frombuffer(data, np.uint8)
+    hits = np.flatnonzero(rng.random(len(clean)) < rate)
+    kinds = rng.integers(0, 3, len(hits))
+    noisy = clean.copy()
+    flipped = hits[kinds == 2]
+    noisy[flipped] ^= np.left_shift(1, rng.integers(0, 8, len(flipped))).astype(np.uint8)
+    inserted = hits[kinds == 1]
+    lost = hits[kinds == 0]
+    kept = np.ones(len(clean), np.bool_)
+    kept[lost] = False
+    # Positions in what is kept: a byte that is lost has none in front of it.
+    before = np.cumsum(kept) - kept
+    spurious = rng.integers(0, 256, len(inserted), dtype=np.uint8)
+    return np.insert(noisy[kept], before[inserted], spurious).tobytes()
