@@ -7,16 +7,19 @@ make is made here, before a byte is touched; alignment and overlap are C's.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from canser._core import ffi, lib
-from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, describe
+from canser.frames import FRAME_DTYPE, FrameArray, describe
 
 if TYPE_CHECKING:
     from typing_extensions import Buffer
+
+# Any buffer of bytes; below Python 3.12 an array is none for a type checker.
+BytesLike: TypeAlias = "Buffer | npt.NDArray[Any]"
 
 Pointer = Any
 Offsets = npt.NDArray[np.int64] | npt.NDArray[np.uint64]
@@ -27,7 +30,6 @@ for _name, _field in ffi.typeof("canser_frame").fields:
     assert FRAME_DTYPE.fields[_name][1] == _field.offset
     assert FRAME_DTYPE.fields[_name][0].itemsize == ffi.sizeof(_field.type)
 assert FRAME_DTYPE.itemsize == ffi.sizeof("canser_frame")
-assert ffi.typeof("canser_frame").fields[-1][0] == "ts" and NO_TIME == -(2**63)
 
 # How many control packets C may leave before it must ask for room again.
 _CONTROL_CAP: Final = 1024
@@ -52,13 +54,6 @@ class Control(NamedTuple):
 
     offset: int
     data: bytes
-
-
-class Progress(NamedTuple):
-    """What one call took and gave: bytes of the input, frames into the output."""
-
-    used: int
-    count: int
 
 
 def _text(pointer: Pointer) -> str:
@@ -102,10 +97,10 @@ def find_protocol(name: str) -> Protocol:
         raise ValueError(f"unknown protocol {name!r}; have: {have}") from None
 
 
-def input_bytes(data: "Buffer") -> Pointer:
-    """Return a pointer to the caller's bytes, no copy; it holds the buffer."""
+def _check_bytes(data: BytesLike) -> memoryview:
+    """Return a view of the caller's bytes, or raise."""
     try:
-        view = memoryview(data)
+        view = memoryview(cast("Buffer", data))
     except (TypeError, ValueError):  # ValueError: datetime64 arrays and the like
         hint = "; encode it first" if isinstance(data, str) else ""
         raise TypeError(
@@ -120,7 +115,17 @@ def input_bytes(data: "Buffer") -> Pointer:
         raise BufferError(
             "data is not contiguous; pass a contiguous buffer, such as np.ascontiguousarray(data)"
         )
-    return ffi.from_buffer("uint8_t[]", view)
+    return view
+
+
+def input_bytes(data: BytesLike) -> Pointer:
+    """Return a pointer to the caller's bytes, no copy; it holds the buffer."""
+    return ffi.from_buffer("uint8_t[]", _check_bytes(data))
+
+
+def as_bytes(data: BytesLike) -> npt.NDArray[np.uint8]:
+    """Return the caller's bytes as an array, no copy."""
+    return np.frombuffer(_check_bytes(data), np.uint8)
 
 
 def _check_array(array: Any, name: str, dtypes: tuple[Any, ...], make: str) -> None:
@@ -211,14 +216,19 @@ class Stream:
         """Start anew: counters zero, nothing held, the clock not started."""
         lib.canser_decoder_init(self._state, self._protocol.row, self._tick_ns)
 
-    def feed(self, data: Pointer, data_len: int, out: Pointer, cap: int, at: Pointer) -> Progress:
-        """Decode bytes into `out`; stops early where `out` or the controls are full."""
+    def feed(
+        self, data: Pointer, data_len: int, out: Pointer, cap: int, at: Pointer
+    ) -> tuple[int, int]:
+        """Decode bytes into `out`; returns the bytes used and the frames found.
+
+        Stops early where `out` or the room for control packets is full.
+        """
         batch = self._batch
         batch.frames, batch.frame_cap, batch.offsets = out, cap, at
         status = lib.canser_decoder_feed(self._state, data, data_len, batch, self._used)
         if status:
             _raise_status(status)
-        return Progress(self._used[0], batch.frame_count)
+        return self._used[0], batch.frame_count
 
     def flush(self, out: Pointer, cap: int, at: Pointer) -> int:
         """End the stream; returns the frames. Again while bytes are pending."""
@@ -250,26 +260,30 @@ class Stream:
 
 def unpack_controls(rows: npt.NDArray[np.void]) -> list[Control]:
     """Return control packets as Python values."""
-    return [
-        Control(int(row["offset"]), row["bytes"][: row["len"]].tobytes()) for row in rows
-    ]
+    return [Control(int(row["offset"]), row["bytes"][: row["len"]].tobytes()) for row in rows]
 
 
 def encode_into(
-    protocol: Protocol, tick_ns: int, frames: FrameArray, out: npt.NDArray[np.uint8]
+    protocol: Protocol,
+    tick_ns: int,
+    frames: FrameArray,
+    out: npt.NDArray[np.uint8],
+    *,
+    first: int = 0,
 ) -> int:
-    """Encode all frames into `out`, and return the bytes written."""
+    """Encode all frames into `out`, and return the bytes written.
+
+    `first` is the index of the first frame, as messages count.
+    """
     source, target = input_frames(frames), output_bytes(out)
     result = ffi.new("canser_encoded *")
-    status = lib.canser_encode(
-        protocol.row, tick_ns, source, len(frames), target, len(out), result
-    )
+    status = lib.canser_encode(protocol.row, tick_ns, source, len(frames), target, len(out), result)
     done = result.frame_count
     if status == lib.CANSER_REFUSED:
         row = frames[done]
         why = _text(lib.canser_refusal_text(result.refusal))
         raise ValueError(
-            f"{protocol.name} cannot carry frame {done} (id {int(row['id']):#x}, "
+            f"{protocol.name} cannot carry frame {first + done} (id {int(row['id']):#x}, "
             f"ext {int(row['ext'])}, dlc {row['dlc']}): {why}"
         )
     if status:

@@ -3,20 +3,17 @@
 import operator
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, overload
+from typing import Final, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from canser import _binding
-from canser._binding import Control, Offsets, Pointer, Progress
+from canser._binding import BytesLike, Control, Offsets, Pointer
 from canser.frames import FRAME_DTYPE, FrameArray
-
-if TYPE_CHECKING:
-    from typing_extensions import Buffer
 
 __all__ = ["TS_UNITS", "Control", "Decoder", "Stats", "decode", "encode", "protocols"]
 
@@ -34,6 +31,11 @@ _CONTROLS_KEPT = 1 << 16
 def protocols() -> tuple[str, ...]:
     """Return the names of the protocols, in alphabetical order."""
     return tuple(_binding.PROTOCOLS)
+
+
+def has_clock(protocol: str) -> bool:
+    """Return whether the protocol's frames carry a device timestamp."""
+    return _binding.find_protocol(protocol).has_clock
 
 
 def tick_ns(ts_unit: str) -> int:
@@ -95,7 +97,7 @@ class Decoder:
         """The protocol's name."""
         return self._protocol.name
 
-    def feed(self, data: "Buffer") -> FrameArray:
+    def feed(self, data: BytesLike) -> FrameArray:
         """Decode the next bytes; return the frames they complete.
 
         `data`: any contiguous buffer of bytes, read in place. Returns a new array
@@ -108,8 +110,8 @@ class Decoder:
             return self._collect(source, ends=False)
 
     def feed_into(
-        self, data: "Buffer", out: FrameArray, offsets: Offsets | None = None
-    ) -> Progress:
+        self, data: BytesLike, out: FrameArray, offsets: Offsets | None = None
+    ) -> tuple[int, int]:
         """Decode the next bytes into `out`; allocate nothing.
 
         `data`: any contiguous buffer of bytes, read in place. `out`: array of
@@ -189,16 +191,16 @@ class Decoder:
 
     def _feed(
         self, source: Pointer, source_len: int, target: Pointer, cap: int, at: Pointer
-    ) -> Progress:
+    ) -> tuple[int, int]:
         """Feed until all is taken or `target` is full; the lock is held."""
         used, count = self._stream.feed(source, source_len, target, cap, at)
         while self._keep_controls() and used < source_len and count < cap:
-            more = self._stream.feed(
+            more_used, more_count = self._stream.feed(
                 source + used, source_len - used, target + count, cap - count, at and at + count
             )
-            used += more.used
-            count += more.count
-        return Progress(used, count)
+            used += more_used
+            count += more_count
+        return used, count
 
     def _flush(self, target: Pointer, cap: int, at: Pointer) -> int:
         """Flush into `target`; the lock is held."""
@@ -229,9 +231,11 @@ class Decoder:
         used = count = 0
         while True:
             target = _binding.output_frames(out)
-            more = self._feed(source + used, source_len - used, target + count, cap - count, none)
-            used += more.used
-            count += more.count
+            more_used, more_count = self._feed(
+                source + used, source_len - used, target + count, cap - count, none
+            )
+            used += more_used
+            count += more_count
             if used == source_len and ends and count < cap:
                 count += self._flush(target + count, cap - count, none)
             if used == source_len and not (ends and self._stream.pending):
@@ -249,9 +253,7 @@ class Decoder:
         out.resize(count, refcheck=False)
         return out
 
-    def _fill(
-        self, data: "Buffer", out: FrameArray, offsets: Offsets | None
-    ) -> tuple[int, int]:
+    def _fill(self, data: BytesLike, out: FrameArray, offsets: Offsets | None) -> tuple[int, int]:
         """Decode all of `data` and its end into `out`.
 
         Returns the frames that are there, and those that it needs room for.
@@ -266,9 +268,11 @@ class Decoder:
         spare = np.empty(min(self._most_frames(len(source) - used), _SMALL), FRAME_DTYPE)
         target, none = _binding.output_frames(spare), _binding.output_offsets(None, 0)
         while used < len(source):
-            more = self._feed(source + used, len(source) - used, target, len(spare), none)
-            used += more.used
-            needed += more.count
+            more_used, more_count = self._feed(
+                source + used, len(source) - used, target, len(spare), none
+            )
+            used += more_used
+            needed += more_count
         while self.pending:
             needed += self.flush_into(spare)
         return count, needed
@@ -279,7 +283,7 @@ class Decoder:
 
 
 def decode(
-    data: "Buffer",
+    data: BytesLike,
     protocol: str,
     *,
     ts_unit: str = "ms",
@@ -301,15 +305,17 @@ def decode(
     decoder = Decoder(protocol, ts_unit=ts_unit)
     if out is None and offsets is None:
         return decoder._collect(_binding.input_bytes(data), ends=True)
-    frames = np.empty(len(offsets), FRAME_DTYPE) if out is None else out
-    count, needed = decoder._fill(data, frames, offsets)
+    name = "out"
+    if out is None and offsets is not None:
+        name, out = "offsets", np.empty(len(offsets), FRAME_DTYPE)
+    assert out is not None
+    count, needed = decoder._fill(data, out, offsets)
     if needed > count:
-        name = "offsets" if out is None else "out"
         raise ValueError(
             f"{name} has room for {count} frames, but the data holds {needed}; "
             f"make room for at least {needed}"
         )
-    return frames[:count]
+    return out[:count]
 
 
 @overload
@@ -345,6 +351,26 @@ def encode(
     _binding.input_frames(frames)  # before its length is asked for
     room = np.empty(len(frames) * row.frame_max, np.uint8)
     return room[: _binding.encode_into(row, unit, frames, room)].tobytes()
+
+
+def encode_blocks(
+    blocks: Iterable[FrameArray], protocol: str, *, ts_unit: str = "ms"
+) -> Iterator[npt.NDArray[np.uint8]]:
+    """Encode one array of frames after the other, as `encode` does.
+
+    Yields the bytes of each as an array of uint8 that is good until the next one. A
+    frame that the format cannot carry is named by its index over all arrays.
+    """
+    row = _binding.find_protocol(protocol)
+    unit = tick_ns(ts_unit)
+    room = np.empty(0, np.uint8)
+    first = 0
+    for frames in blocks:
+        needed = len(frames) * row.frame_max
+        if len(room) < needed:
+            room = np.empty(needed, np.uint8)
+        yield room[: _binding.encode_into(row, unit, frames, room, first=first)]
+        first += len(frames)
 
 
 def check_threads(threads: int) -> int:

@@ -1,14 +1,9 @@
 """Simulated bus traffic, and what a bad line does to its bytes: data where no adapter is."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
 
 from canser.frames import FRAME_DTYPE, FrameArray
-
-if TYPE_CHECKING:
-    from typing_extensions import Buffer
 
 __all__ = ["line_noise", "vehicle"]
 
@@ -70,7 +65,7 @@ def _payload(
     return data
 
 
-def line_noise(data: "Buffer", *, rate: float = 1e-3, seed: int = 1) -> bytes:
+def line_noise(data: bytes | npt.NDArray[np.uint8], *, rate: float = 1e-3, seed: int = 1) -> bytes:
     """Return the bytes as a bad line hands them on.
 
     A share `rate` of the bytes is hit: a third is lost, a third gets a random byte in
@@ -88,6 +83,6 @@ def line_noise(data: "Buffer", *, rate: float = 1e-3, seed: int = 1) -> bytes:
     kept = np.ones(len(clean), np.bool_)
     kept[lost] = False
     # Positions in what is kept: a byte that is lost has none in front of it.
-    before = np.cumsum(kept) - kept
+    before: npt.NDArray[np.int64] = np.cumsum(kept) - kept
     spurious = rng.integers(0, 256, len(inserted), dtype=np.uint8)
     return np.insert(noisy[kept], before[inserted], spurious).tobytes()

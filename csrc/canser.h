@@ -102,19 +102,21 @@ typedef struct {
 
 /* The device clock, unwrapped over the stream. */
 typedef struct {
-    int64_t tick_ns; /* nanoseconds in one tick */
-    uint64_t turned; /* ticks in whole turns of the counter so far */
-    uint32_t raw;    /* counter of the last frame as it came */
-    uint8_t started; /* 1: a frame has been seen */
+    int64_t tick_ns;   /* nanoseconds in one tick */
+    uint64_t turned;   /* ticks in whole turns of the counter so far */
+    uint32_t raw;      /* counter of the last frame as it came */
+    uint32_t away_raw; /* the counter half a turn away, where `away` */
+    uint8_t away;      /* 1: the last step was half a turn */
+    uint8_t started;   /* 1: a frame has been seen */
 } canser_clock;
 
 /* One wire format, a row of the table of protocols. Constant. */
 typedef struct {
     const char *name;
-    const char *aliases;      /* further accepted spellings, separated by blanks */
-    uint8_t frame_min;        /* the shortest frame in bytes */
-    uint8_t frame_max;        /* the longest frame as encode writes it, in bytes */
-    uint8_t has_clock;        /* 1: frames carry a device timestamp */
+    const char *aliases;              /* further accepted spellings, separated by blanks */
+    uint8_t frame_min;                /* the shortest frame in bytes */
+    uint8_t frame_max;                /* the longest frame as encode writes it, in bytes */
+    uint8_t has_clock;                /* 1: frames carry a device timestamp */
     const struct canser_codec *codec; /* private */
 } canser_protocol;
 

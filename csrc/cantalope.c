@@ -20,8 +20,7 @@
 
 enum { HEADER = 2, COMMAND = 0xFF, PING = 0x00, PING_LEN = 3, ERROR_REPORT = 0x01, ERROR_LEN = 4 };
 
-CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *frame,
-                                 uint32_t *raw)
+CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *frame, uint32_t *raw)
 {
     (void)raw;
     if (avail < HEADER)

@@ -153,8 +153,9 @@ int canser_decoder_feed(canser_decoder *self, const uint8_t *data, size_t data_l
         }
     }
     if (data_len - pos >= SCAN_WINDOW)
-        pos = codec->scan(self, data, pos, data_len - SCAN_WINDOW + 1, data_len, offset, batch,
-                          SCAN_BODY)
+        pos = codec
+                  ->scan(self, data, pos, data_len - SCAN_WINDOW + 1, data_len, offset, batch,
+                         SCAN_BODY)
                   .pos;
     if (data_len - pos < SCAN_WINDOW && pos < data_len) {
         uint8_t tail[2 * SCAN_WINDOW] = {0};

@@ -10,9 +10,9 @@
 
 /* The list. A new protocol is one C file that defines `canser_protocol_NAME`,
  * and one row here, in the order of the names. */
-#define CANSER_PROTOCOLS(ROW) \
-    ROW(cantalope)            \
-    ROW(seeed)                \
+#define CANSER_PROTOCOLS(ROW)                                                                      \
+    ROW(cantalope)                                                                                 \
+    ROW(seeed)                                                                                     \
     ROW(serial)
 
 #define CANSER_DECLARE(name) extern const canser_protocol canser_protocol_##name;
@@ -21,22 +21,22 @@ CANSER_PROTOCOLS(CANSER_DECLARE)
 
 /* Compiler extensions, one macro each. */
 #if defined(__GNUC__)
-#define CANSER_INLINE static inline __attribute__((always_inline))
-#define CANSER_COLD static __attribute__((noinline, cold))
-#define CANSER_LIKELY(x) __builtin_expect(!!(x), 1)
-#define CANSER_PREFETCH_READ(p) __builtin_prefetch((p), 0)
+#define CANSER_INLINE            static inline __attribute__((always_inline))
+#define CANSER_COLD              static __attribute__((noinline, cold))
+#define CANSER_LIKELY(x)         __builtin_expect(!!(x), 1)
+#define CANSER_PREFETCH_READ(p)  __builtin_prefetch((p), 0)
 #define CANSER_PREFETCH_WRITE(p) __builtin_prefetch((p), 1)
 #elif defined(_MSC_VER)
-#define CANSER_INLINE static __forceinline
-#define CANSER_COLD static __declspec(noinline)
-#define CANSER_LIKELY(x) (x)
-#define CANSER_PREFETCH_READ(p) ((void)(p))
+#define CANSER_INLINE            static __forceinline
+#define CANSER_COLD              static __declspec(noinline)
+#define CANSER_LIKELY(x)         (x)
+#define CANSER_PREFETCH_READ(p)  ((void)(p))
 #define CANSER_PREFETCH_WRITE(p) ((void)(p))
 #else
-#define CANSER_INLINE static inline
-#define CANSER_COLD static
-#define CANSER_LIKELY(x) (x)
-#define CANSER_PREFETCH_READ(p) ((void)(p))
+#define CANSER_INLINE            static inline
+#define CANSER_COLD              static
+#define CANSER_LIKELY(x)         (x)
+#define CANSER_PREFETCH_READ(p)  ((void)(p))
 #define CANSER_PREFETCH_WRITE(p) ((void)(p))
 #endif
 

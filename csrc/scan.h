@@ -16,21 +16,35 @@
  * times what passes during one access to memory. */
 enum { PREFETCH_IN = 1024, PREFETCH_OUT = 128 };
 
+/* Steps from half a turn on, up to so many ticks more, are half turns. */
+#define HALF_TURN       UINT32_C(0x80000000)
+#define HALF_TURN_SLACK (UINT32_C(1) << 20)
+
 /* The counter of the clock makes a step that is not small and forward: the first
  * frame, a wrap, or a step back. Signed differences, so that a wrap is a step
- * forward, and a false frame puts only its own time wrong. */
+ * forward, and a false time is undone by the next good one.
+ *
+ * But half a turn has no sign. A counter whose top bit is flipped goes half a
+ * turn away and half a turn back, both of which read as steps back: a whole turn
+ * would be lost for the rest of the stream. So of two half turns in a row the
+ * second is a step forward. */
 CANSER_COLD void clock_jump(canser_clock *clock, uint32_t raw, bool first, canser_stats *stats)
 {
-    const bool back = (int32_t)(raw - clock->raw) < 0;
+    const uint32_t step = raw - clock->raw;
+    const bool half = step >= HALF_TURN && step - HALF_TURN < HALF_TURN_SLACK;
+    const bool returns = half && clock->away && clock->raw == clock->away_raw;
+    const bool back = step >= HALF_TURN && !returns;
 
     if (first)
         return;
-    stats->ts_wraps += !back;
+    stats->ts_wraps += !back && raw < clock->raw;
     stats->ts_backsteps += back;
-    if (!back)
+    if (!back && raw < clock->raw)
         clock->turned += UINT64_C(1) << 32;
-    else if (raw > clock->raw)
+    else if (back && raw > clock->raw)
         clock->turned -= UINT64_C(1) << 32;
+    clock->away = half && !returns;
+    clock->away_raw = raw;
 }
 
 /* From a reject at `p` to the next position where something else is found, or
@@ -64,8 +78,8 @@ CANSER_COLD const uint8_t *resync(canser_decoder *self, const uint8_t *p, const 
 }
 
 /* Keep a control packet, if it is asked for; false if there is no room. */
-CANSER_COLD bool take_control(canser_decoder *self, const uint8_t *p, size_t len,
-                              uint64_t offset, canser_batch *batch)
+CANSER_COLD bool take_control(canser_decoder *self, const uint8_t *p, size_t len, uint64_t offset,
+                              canser_batch *batch)
 {
     if (batch->controls) {
         if (batch->control_count == batch->control_cap)
@@ -82,8 +96,8 @@ CANSER_COLD bool take_control(canser_decoder *self, const uint8_t *p, size_t len
 }
 
 CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, size_t pos,
-                                  size_t stop_pos, size_t len, uint64_t base,
-                                  canser_batch *batch, const scan_mode mode)
+                                  size_t stop_pos, size_t len, uint64_t base, canser_batch *batch,
+                                  const scan_mode mode)
 {
     /* What each frame needs is in locals: a store through a byte pointer might
      * change any field in memory, and the compiler would load it again. */

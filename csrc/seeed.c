@@ -79,8 +79,7 @@ CANSER_COLD probe_result probe_remote(const uint8_t *p, size_t avail, canser_fra
     return probe_rest(p, avail, frame, true);
 }
 
-CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *frame,
-                                 uint32_t *raw)
+CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *frame, uint32_t *raw)
 {
     (void)raw;
     if (p[0] != START)

@@ -47,8 +47,7 @@ CANSER_COLD probe_result probe_flagged(const uint8_t *p, size_t avail, canser_fr
     return probe_rest(p, avail, frame, true);
 }
 
-CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *frame,
-                                 uint32_t *raw)
+CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *frame, uint32_t *raw)
 {
     if (p[0] != START)
         return probe_reject(CANSER_REJECT_MARKER);
@@ -72,7 +71,8 @@ CANSER_INLINE int refuse(const canser_frame *frame)
 CANSER_INLINE unsigned emit(const canser_frame *frame, uint32_t raw, uint8_t *out)
 {
     const unsigned payload_len = frame->rtr ? 0 : frame->dlc;
-    const uint32_t flags = (uint32_t)(frame->ext != 0) << BIT_EXT | (uint32_t)(frame->rtr != 0) << BIT_RTR |
+    const uint32_t flags = (uint32_t)(frame->ext != 0) << BIT_EXT |
+                           (uint32_t)(frame->rtr != 0) << BIT_RTR |
                            (uint32_t)(frame->err != 0) << BIT_ERR;
     out[0] = START;
     store_le32(out + 1, raw);

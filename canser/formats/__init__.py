@@ -1,0 +1,12 @@
+"""File formats for frames, one module each: what `canser convert` reads and writes.
+
+A format has a `read(path_or_file)` that yields arrays of FRAME_DTYPE in bounded
+memory, and a `Writer(file)` with `write(frames)` and `finish()`.
+"""
+
+from canser.formats import candump, csv, npy
+
+__all__ = ["BY_SUFFIX", "candump", "csv", "npy"]
+
+# The suffix of a file's name, and the module that knows the format.
+BY_SUFFIX = {".npy": npy, ".csv": csv, ".log": candump}

@@ -1,0 +1,69 @@
+"""A progress bar on a terminal: rich's where it is installed, else a plain line."""
+
+import sys
+import time
+from types import TracebackType
+from typing import Any, Self
+
+# Work that is done by then shows no bar, in seconds.
+_PATIENCE = 0.5
+
+
+class Progress:
+    """Show how much of some bytes is done, on standard error if that is a terminal."""
+
+    def __init__(self, title: str) -> None:
+        self._title = title
+        self._begin = time.monotonic()
+        self._shown = -1
+        self._bar: Any = None
+        self._task: Any = None
+        self._on = sys.stderr.isatty()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+        elif self._shown >= 0:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+    def __call__(self, done: int, total: int | None) -> None:
+        """Show that `done` bytes are done, of `total`, or of nobody knows how many."""
+        if not self._on or time.monotonic() - self._begin < _PATIENCE:
+            return
+        if self._bar is None and self._shown < 0:
+            self._start(total)
+        if self._bar is not None:
+            self._bar.update(self._task, completed=done)
+            return
+        step = done * 100 // total if total else done >> 24
+        if step != self._shown:
+            self._shown = step
+            text = f"{step} %" if total else f"{done / 1e6:,.0f} MB"
+            print(f"\r{self._title}: {text}", end="", file=sys.stderr, flush=True)
+
+    def _start(self, total: int | None) -> None:
+        try:
+            from rich import progress  # noqa: PLC0415 - an optional extra
+            from rich.console import Console  # noqa: PLC0415
+        except ImportError:
+            self._shown = 0
+            return
+        self._bar = progress.Progress(
+            progress.TextColumn("{task.description}"),
+            progress.BarColumn(),
+            progress.DownloadColumn(),
+            progress.TransferSpeedColumn(),
+            progress.TimeRemainingColumn(),
+            console=Console(stderr=True),
+            transient=True,
+        )
+        self._task = self._bar.add_task(self._title, total=total)
+        self._bar.start()

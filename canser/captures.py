@@ -1,0 +1,216 @@
+"""Captures of raw bytes in files: read in place, of any size, in bounded memory."""
+
+import mmap
+import os
+import stat
+from collections.abc import Callable, Generator, Iterator
+from typing import BinaryIO, Self, cast
+
+import numpy as np
+
+from canser._binding import BytesLike, Offsets
+from canser.codec import Decoder, check_threads, decode
+from canser.frames import FRAME_DTYPE, FrameArray
+
+__all__ = ["Blocks", "Source", "blocks", "read"]
+
+Source = str | os.PathLike[str] | BinaryIO
+
+# A file is mapped piece by piece, so that its pages do not add up in the process:
+# large enough that mapping costs nothing, small against any memory.
+_WINDOW = 8 << 20
+assert _WINDOW % mmap.ALLOCATIONGRANULARITY == 0
+
+# What is read at a time from what cannot be mapped, such as a pipe.
+_CHUNK = 1 << 18
+
+# Frames in a block where the caller gives no `out`: 1.5 MiB, which fits a cache.
+BLOCK_FRAMES = 1 << 16
+
+
+def blocks(
+    path_or_file: Source,
+    protocol: str,
+    *,
+    ts_unit: str = "ms",
+    out: FrameArray | None = None,
+    offsets: Offsets | None = None,
+    progress: Callable[[int, int | None], None] | None = None,
+) -> "Blocks":
+    """Decode a capture of any size, block by block.
+
+    `path_or_file`: a path, or a file open for reading bytes, from where it stands. A
+    regular file is mapped, a piece at a time; a pipe is read as its bytes come.
+    Iterate over the result: each block is an array of FRAME_DTYPE, shape (n,), n >= 1.
+    With `out` a block is `out[:n]`, good until the next; without, a new array.
+    `offsets` goes with `out`: `offsets[:n]` are the stream offsets of the block.
+    `progress` is called after each block with the bytes done and the bytes in all
+    (None where nobody knows). `.decoder` has the stats and the control packets.
+
+    Errors as for `Decoder.feed_into`; OSError for a file that cannot be read.
+    """
+    if offsets is not None and out is None:
+        raise ValueError("offsets goes with out: give both")
+    return Blocks(path_or_file, Decoder(protocol, ts_unit=ts_unit), out, offsets, progress)
+
+
+class Blocks(Iterator[FrameArray]):
+    """The blocks of a capture: an iterator, made by `blocks`; a context manager."""
+
+    def __init__(
+        self,
+        path_or_file: Source,
+        decoder: Decoder,
+        out: FrameArray | None,
+        offsets: Offsets | None,
+        progress: Callable[[int, int | None], None] | None,
+    ) -> None:
+        if out is not None:
+            # A mistake shows here and not at the first block: nothing is taken.
+            decoder.feed_into(b"", out, offsets)
+        self.decoder = decoder
+        self.bytes_done = 0
+        self.bytes_total: int | None = None  # None where nobody knows
+        self._out, self._offsets, self._progress = out, offsets, progress
+        self._opened: BinaryIO | None = None
+        if isinstance(path_or_file, (str, os.PathLike)):
+            # Unbuffered: a pipe's bytes are handed on as they come.
+            self._opened = file = cast(BinaryIO, open(path_or_file, "rb", buffering=0))  # noqa: PTH123, SIM115
+        else:
+            file = path_or_file
+        size = _regular_size(file)
+        if size is None:
+            self._pieces = _read_pieces(file)
+        else:
+            start = file.tell()
+            self.bytes_total = max(size - start, 0)
+            self._pieces = _map_pieces(file, start, size)
+        self._mapped = size is not None
+        self._blocks = self._run()
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> FrameArray:
+        return next(self._blocks)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file, if `blocks` opened it. Done by itself at the end."""
+        self._blocks.close()
+        if self._opened is not None:
+            self._opened.close()
+
+    def _run(self) -> Generator[FrameArray, None, None]:
+        out, at = self._room()
+        count = 0
+        for piece in self._pieces:
+            done = 0
+            while done < len(piece):
+                used, more = self.decoder.feed_into(
+                    piece[done:], out[count:], None if at is None else at[count:]
+                )
+                done += used
+                count += more
+                self.bytes_done += used
+                if count == len(out):
+                    yield self._block(out, count)
+                    (out, at), count = self._room(), 0
+            # Bytes of a pipe may be long in coming: do not sit on frames.
+            if count and not self._mapped:
+                yield self._block(out, count)
+                (out, at), count = self._room(), 0
+        while True:
+            if count < len(out):
+                count += self.decoder.flush_into(out[count:], None if at is None else at[count:])
+            if count:
+                yield self._block(out, count)
+                (out, at), count = self._room(), 0
+            if not self.decoder.pending:
+                break
+        if self._opened is not None:
+            self._opened.close()
+
+    def _room(self) -> tuple[FrameArray, Offsets | None]:
+        if self._out is None:
+            return np.empty(BLOCK_FRAMES, FRAME_DTYPE), None
+        return self._out, self._offsets
+
+    def _block(self, out: FrameArray, count: int) -> FrameArray:
+        if self._progress is not None:
+            self._progress(self.bytes_done, self.bytes_total)
+        # A block that is far from full would hold memory that nobody uses.
+        wasteful = self._out is None and count < len(out) // 2
+        return out[:count].copy() if wasteful else out[:count]
+
+
+def read(
+    path: Source,
+    protocol: str,
+    *,
+    ts_unit: str = "ms",
+    offsets: Offsets | None = None,
+    threads: int = 1,
+) -> FrameArray:
+    """Decode a whole capture file into one new array.
+
+    `path`: a path, or a file open for reading bytes, from where it stands. The file is
+    mapped, never read as a whole. Returns FRAME_DTYPE, shape (n,). `ts_unit`,
+    `offsets`, `threads` and errors as for `decode`; OSError for a file that cannot be
+    read. For files larger than memory, and for the counters, use `blocks`.
+    """
+    check_threads(threads)
+    if not isinstance(path, (str, os.PathLike)):
+        return _read_file(path, protocol, ts_unit, offsets, threads)
+    with open(path, "rb", buffering=0) as file:  # noqa: PTH123
+        return _read_file(cast(BinaryIO, file), protocol, ts_unit, offsets, threads)
+
+
+def _read_file(
+    file: BinaryIO, protocol: str, ts_unit: str, offsets: Offsets | None, threads: int
+) -> FrameArray:
+    size = _regular_size(file)
+    if size is None:
+        data: BytesLike = file.read()
+    elif size <= (start := file.tell()):
+        data = b""  # nothing is there to be mapped
+    else:
+        whole = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
+        data = memoryview(whole)[start:]
+    return decode(data, protocol, ts_unit=ts_unit, offsets=offsets, threads=threads)
+
+
+def _regular_size(file: BinaryIO) -> int | None:
+    """Return the size of a file that can be mapped, None for any other."""
+    try:
+        status = os.fstat(file.fileno())
+    except (AttributeError, OSError):  # io.UnsupportedOperation is an OSError
+        return None
+    return status.st_size if stat.S_ISREG(status.st_mode) else None
+
+
+def _map_pieces(file: BinaryIO, start: int, size: int) -> Iterator[memoryview]:
+    """Yield the bytes of a regular file as windows of it."""
+    for window in range(start - start % _WINDOW, size, _WINDOW):
+        length = min(_WINDOW, size - window)
+        # The map goes when nobody holds the view any more.
+        piece = mmap.mmap(file.fileno(), length, access=mmap.ACCESS_READ, offset=window)
+        yield memoryview(piece)[max(start - window, 0) :]
+
+
+def _read_pieces(file: BinaryIO) -> Iterator[memoryview]:
+    """Yield the bytes of any other file as they come."""
+    # One read() of the system each, so that a pipe's bytes are not waited for.
+    take = getattr(file, "readinto1", None) or getattr(file, "readinto", None)
+    if take is None:
+        while data := file.read(_CHUNK):
+            yield memoryview(data)
+        return
+    room = bytearray(_CHUNK)
+    while count := take(room):
+        yield memoryview(room)[:count]

@@ -1,0 +1,86 @@
+"""From a file of frames or raw bytes to another: decode, encode, or change the format."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import BinaryIO
+
+from canser.codec import TS_UNITS, encode_blocks, has_clock
+from canser.files import RAW, FrameFile
+from canser.formats import BY_SUFFIX, candump
+from canser.frames import NO_TIME, FrameArray
+
+__all__ = ["Converted", "convert"]
+
+# A device's counter has this many ticks.
+_TURN = 1 << 32
+
+
+@dataclass(slots=True)
+class Converted:
+    """What a conversion did: counts, and what the target could not hold."""
+
+    frames: int = 0
+    bytes_out: int = 0
+    remarks: list[str] = field(default_factory=list)
+
+
+def convert(
+    source: FrameFile,
+    target: BinaryIO,
+    target_format: str,
+    *,
+    protocol: str | None = None,
+    ts_unit: str = "ms",
+) -> Converted:
+    """Write all frames of `source` to `target` in one of the FORMATS.
+
+    Raw bytes need the `protocol`. Where its clock cannot count up to the first
+    frame's time, such as a date, times go out from the first frame on, and a remark
+    says so. Raises what reading, encoding and writing raise.
+    """
+    if target_format == RAW:
+        assert protocol is not None
+        return _encode(source, target, protocol, ts_unit)
+    done = Converted()
+    writer = BY_SUFFIX[f".{target_format}"].Writer(target)
+    for frames in source:
+        writer.write(frames)
+        done.frames += len(frames)
+    writer.finish()
+    if isinstance(writer, candump.Writer):
+        if writer.ts_unknown:
+            done.remarks.append(f"{writer.ts_unknown:,} frames have no time; written as 0")
+        if writer.ts_cut:
+            done.remarks.append(f"{writer.ts_cut:,} times were cut to the microsecond")
+    return done
+
+
+def _encode(source: FrameFile, target: BinaryIO, protocol: str, ts_unit: str) -> Converted:
+    done = Converted()
+    clocked = has_clock(protocol)
+    for raw in encode_blocks(
+        _counted(source, done, ts_unit if clocked else None), protocol, ts_unit=ts_unit
+    ):
+        target.write(raw.data)
+        done.bytes_out += len(raw)
+    if not clocked and done.frames:
+        done.remarks.append(f"{protocol} carries no times")
+    return done
+
+
+def _counted(source: FrameFile, done: Converted, ts_unit: str | None) -> Iterator[FrameArray]:
+    """Yield the frames, counted, in times that the clock can count if there is one."""
+    start = 0
+    for frames in source:
+        if ts_unit is not None and not done.frames:
+            first = int(frames["ts"][0])
+            if first != NO_TIME and not 0 <= first // TS_UNITS[ts_unit] < _TURN:
+                start = first
+                done.remarks.append("times go out from the first frame on")
+        done.frames += len(frames)
+        if start:
+            shifted = frames.copy()
+            shifted["ts"][frames["ts"] != NO_TIME] -= start
+            yield shifted
+        else:
+            yield frames

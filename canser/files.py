@@ -1,0 +1,71 @@
+"""A file of frames, whatever its format: opened by its suffix, read block by block."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import PurePath
+from typing import BinaryIO, Final, Self
+
+from canser.captures import Blocks, blocks
+from canser.formats import BY_SUFFIX
+from canser.frames import FrameArray
+
+__all__ = ["FORMATS", "RAW", "FrameFile", "format_of"]
+
+RAW: Final = "raw"
+
+# Formats by the names that options have: the bytes of an adapter, and frames.
+FORMATS: Final = (RAW, *(suffix[1:] for suffix in BY_SUFFIX))
+
+
+def format_of(path: str, given: str | None = None) -> str:
+    """Return the format of a file: the given one, or the one of its suffix, else raw."""
+    if given is not None:
+        return given
+    suffix = PurePath(path).suffix.lower()
+    return suffix[1:] if suffix in BY_SUFFIX else RAW
+
+
+class FrameFile(Iterator[FrameArray]):
+    """The frames of a file, "-" for the standard input: an iterator of blocks.
+
+    `file_format`: one of FORMATS. Raw bytes need their `protocol`, and keep their
+    decoder in `.decoder`, for the stats and the control packets. `progress` is called
+    with the bytes done and in all. A context manager.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        file_format: str,
+        *,
+        protocol: str | None = None,
+        ts_unit: str = "ms",
+        progress: Callable[[int, int | None], None] | None = None,
+    ) -> None:
+        self.name = "standard input" if path == "-" else path
+        self.decoder = None
+        self._stack = contextlib.ExitStack()
+        file: BinaryIO = sys.stdin.buffer
+        if path != "-":
+            file = self._stack.enter_context(open(path, "rb"))  # noqa: PTH123, SIM115
+        self._blocks: Iterator[FrameArray]
+        if file_format == RAW:
+            if protocol is None:
+                raise ValueError(f"{self.name} holds raw bytes; they need a protocol")
+            raw: Blocks = blocks(file, protocol, ts_unit=ts_unit, progress=progress)
+            self.decoder, self._blocks = raw.decoder, raw
+        else:
+            self._blocks = BY_SUFFIX[f".{file_format}"].read(file, self.name)
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> FrameArray:
+        return next(self._blocks)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()

@@ -1,0 +1,144 @@
+"""Comma-separated values with the columns of python-can's CSVWriter.
+
+    timestamp,arbitration_id,extended,remote,error,dlc,data
+    1631416514.717133,0xd2,0,0,0,8,AAD//xAAAAA=
+
+timestamp in seconds (nan where it is not known), arbitration_id in hexadecimal,
+flags 0 or 1, data in base64. Source: python-can, `can.io.csv`.
+
+Times are exact: six places, or nine where a frame has nanoseconds. Read by the
+names of the header, so columns may be in any order and others may be there.
+"""
+
+import base64
+import binascii
+import csv
+from collections.abc import Iterator
+from typing import BinaryIO, Final
+
+import numpy as np
+
+from canser.errors import FormatError
+from canser.formats import _text
+from canser.frames import NO_TIME, FrameArray
+
+COLUMNS: Final = ("timestamp", "arbitration_id", "extended", "remote", "error", "dlc", "data")
+
+_BASE64: Final = np.frombuffer(
+    b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/", np.uint8
+)
+
+
+class Writer:
+    """Write frames as rows under a header."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._file.write(",".join(COLUMNS).encode() + b"\n")
+
+    def write(self, frames: FrameArray) -> None:
+        """Append frames."""
+        unknown = frames["ts"] == NO_TIME
+        ts = np.where(unknown, 0, frames["ts"])
+        time = _text.seconds(ts, 9)
+        time[ts % 1000 == 0, -3:] = 0
+        time[unknown] = 0
+        time[unknown, :3] = np.frombuffer(b"nan", np.uint8)
+        flags = [(frames[name] + ord("0"))[:, None] for name in ("ext", "rtr", "err", "dlc")]
+        ext, rtr, err, dlc = (flag.astype(np.uint8) for flag in flags)
+        digits = _text.hexadecimal(frames["id"], 8)
+        digits += (digits > ord("9")).astype(np.uint8) * 32  # lower case, as hex() writes
+        leading = np.cumsum(digits != ord("0"), axis=1) == 0
+        leading[:, -1] = False
+        digits[leading] = 0
+        line = _text.join(
+            len(frames),
+            time,
+            b",0x",
+            digits,
+            b",",
+            ext,
+            b",",
+            rtr,
+            b",",
+            err,
+            b",",
+            dlc,
+            b",",
+            _base64(frames),
+            b"\n",
+        )
+        self._file.write(line)
+
+    def finish(self) -> None:
+        """Nothing is left to write."""
+
+
+def _base64(frames: FrameArray) -> _text.Column:
+    """Return the data up to the dlc in base64: 12 characters, padded by `=` and 0."""
+    length = _text.payload_len(frames)[:, None]
+    data = np.zeros((len(frames), 9), np.uint8)
+    data[:, :8] = np.where(np.arange(8) < length, frames["data"], 0)
+    groups = data.reshape(-1, 3, 3).astype(np.uint32)
+    bits = groups[:, :, 0] << 16 | groups[:, :, 1] << 8 | groups[:, :, 2]
+    text: _text.Column = _BASE64[bits[:, :, None] >> np.array([18, 12, 6, 0]) & 63].reshape(-1, 12)
+    place = np.arange(12)
+    text[place >= (length * 4 + 2) // 3] = ord("=")
+    text[place >= (length + 2) // 3 * 4] = 0
+    return text
+
+
+def read(file: BinaryIO, name: str) -> Iterator[FrameArray]:
+    """Yield the frames of a file, block by block.
+
+    `file`: open for reading bytes; `name`: what messages call it. FormatError names
+    the first line that is no frame, or the columns that are missing.
+    """
+    return _text.in_blocks(_rows(file, name))
+
+
+def _rows(file: BinaryIO, name: str) -> Iterator[_text.Row]:
+    numbered = _text.lines(file, name)
+    try:
+        _, header = next(numbered)
+    except StopIteration:
+        return
+    names = [column.strip() for column in header.split(",")]
+    missing = [column for column in COLUMNS if column not in names]
+    if missing:
+        raise FormatError(
+            f"{name}: no column {', '.join(missing)}; the first line must name {','.join(COLUMNS)}"
+        )
+    places = [names.index(column) for column in COLUMNS]
+    for number, text in numbered:
+        try:
+            fields = next(csv.reader([text], strict=True))
+            yield _text.check_row(_row([fields[place] for place in places]))
+        except IndexError:
+            raise FormatError(
+                f"{name}, line {number}: {len(fields)} fields where the header has {len(names)}"
+            ) from None
+        except (ValueError, OverflowError, csv.Error, binascii.Error) as error:
+            raise FormatError(f"{name}, line {number}: {error}") from None
+
+
+_FLAGS: Final = {"0": False, "1": True, "false": False, "true": True}
+
+
+def _row(fields: list[str]) -> _text.Row:
+    ts, arbitration_id, ext, rtr, err, dlc, data = fields
+    flags = []
+    for column, text in zip(COLUMNS[2:5], (ext, rtr, err), strict=True):
+        try:
+            flags.append(_FLAGS[text.strip().lower()])
+        except KeyError:
+            raise ValueError(f"{column} is {text!r}; it must be 0 or 1") from None
+    return (
+        int(arbitration_id, 16),
+        flags[0],
+        flags[1],
+        int(dlc),
+        flags[2],
+        base64.b64decode(data, validate=True),
+        _text.parse_seconds(ts),
+    )

@@ -1,0 +1,89 @@
+"""numpy's .npy: the array of frames as it is, to be opened with np.load(mmap_mode="r").
+
+Source: numpy's `lib.format`. Its header has room for a longer first dimension, so
+the number of frames is written when it is known.
+"""
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from typing import BinaryIO, cast
+
+import numpy as np
+from numpy.lib import format as npy
+
+from canser.errors import FormatError
+from canser.frames import FRAME_DTYPE, FrameArray
+
+# Frames that are handed on at a time.
+_BLOCK = 1 << 16
+
+
+def _temporary() -> BinaryIO:
+    return cast(BinaryIO, tempfile.TemporaryFile())
+
+
+class Writer:
+    """Write frames behind a header that is completed at the end."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._target = file
+        # A pipe cannot go back to its header: the file is made elsewhere first.
+        self._file = file if file.seekable() else _temporary()
+        self._count = 0
+        self._start = self._file.tell()
+        self._write_header()
+
+    def _write_header(self) -> None:
+        npy.write_array_header_1_0(
+            self._file,
+            {
+                "descr": npy.dtype_to_descr(FRAME_DTYPE),
+                "fortran_order": False,
+                "shape": (self._count,),
+            },
+        )
+
+    def write(self, frames: FrameArray) -> None:
+        """Append frames."""
+        self._file.write(frames.view(np.uint8).data)
+        self._count += len(frames)
+
+    def finish(self) -> None:
+        """Write the number of frames."""
+        end = self._file.tell()
+        self._file.seek(self._start)
+        self._write_header()
+        self._file.seek(end)
+        if self._file is not self._target:
+            self._file.seek(0)
+            shutil.copyfileobj(self._file, self._target, 1 << 20)
+            self._file.close()
+
+
+def read(file: BinaryIO, name: str) -> Iterator[FrameArray]:
+    """Yield the frames of a file, block by block.
+
+    `file`: open for reading bytes; `name`: what messages call it. FormatError for
+    what is no array of FRAME_DTYPE, or holds fewer frames than its header says.
+    """
+    try:
+        version = npy.read_magic(file)
+        read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+        shape, _, dtype = read_header(file)
+    except ValueError as error:
+        raise FormatError(f"{name}: no .npy file: {error}") from None
+    if dtype != FRAME_DTYPE or len(shape) != 1:
+        raise FormatError(
+            f"{name}: holds {dtype} of shape {shape}; canser reads arrays of "
+            "canser.FRAME_DTYPE in one dimension"
+        )
+    left = shape[0]
+    while left:
+        size = min(left, _BLOCK) * FRAME_DTYPE.itemsize
+        raw = file.read(size)
+        if len(raw) < size:
+            have = shape[0] - left + len(raw) // FRAME_DTYPE.itemsize
+            raise FormatError(f"{name}: ends after {have} of {shape[0]} frames; is it cut off?")
+        yield np.frombuffer(raw, FRAME_DTYPE)
+        left -= len(raw) // FRAME_DTYPE.itemsize
