@@ -40,9 +40,9 @@ def machine() -> str:
     return f"{cpu}; {compiler}; Python {platform.python_version()}, numpy {np.__version__}"
 
 
-def paired(first: Callable[[], object], second: Callable[[], object], rounds: int) -> tuple[
-    float, float, float
-]:
+def paired(
+    first: Callable[[], object], second: Callable[[], object], rounds: int
+) -> tuple[float, float, float]:
     """Time two calls in turn; return the median time of each, and of the ratio first/second."""
     times: list[tuple[float, float]] = []
     for _ in range(rounds + 1):
@@ -97,7 +97,14 @@ def measure(name: str, protocol: str, count: int, rounds: int) -> None:
 
 
 def row(
-    work: str, name: str, protocol: str, count: int, size: int, limit: float, ours: float, ratio: float
+    work: str,
+    name: str,
+    protocol: str,
+    count: int,
+    size: int,
+    limit: float,
+    ours: float,
+    ratio: float,
 ) -> None:
     """Print one line of the table."""
     print(
@@ -113,8 +120,10 @@ def main() -> None:
     args = parser.parse_args()
     print(machine())
     print(f"{args.frames:,} frames a set, median of {args.rounds} interleaved rounds, one thread\n")
-    print(f"{'work':7} {'protocol':10} {'traffic':9} {'L':>10} {'canser':>10} {'ratio':>6} "
-          f"{'Mframes/s':>9} {'GB/s':>7}")
+    print(
+        f"{'work':7} {'protocol':10} {'traffic':9} {'L':>10} {'canser':>10} {'ratio':>6} "
+        f"{'Mframes/s':>9} {'GB/s':>7}"
+    )
     for name in SETS:
         for protocol in canser.protocols():
             measure(name, protocol, args.frames, args.rounds)

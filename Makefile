@@ -1,0 +1,42 @@
+# Everything is set up in .venv by the first target that needs it.
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+BUILT  := setup.py pyproject.toml $(wildcard csrc/*)
+
+.PHONY: demo test lint bench clean
+
+demo: $(VENV)/.built ## make captures of a simulated adapter, decode them, print a table
+	$(BIN)/python examples/demo.py
+
+test: $(VENV)/.test ## run the tests
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/.lint ## run the linters
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/clang-format --dry-run -Werror csrc/*.[ch] tests/c/*.[ch]
+
+bench: $(VENV)/.test ## print the speed as ratios to the memory's
+	$(BIN)/python bench/speed.py
+
+clean:
+	rm -rf $(VENV) build dist canser.egg-info canser/_core.*.so canser/_core.*.pyd
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv $(VENV)
+
+# One stamp for each set of packages; all build the extension anew when it changes.
+$(VENV)/.built: $(VENV)/bin/python $(BUILT)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	touch $@
+
+$(VENV)/.test: $(VENV)/bin/python $(BUILT)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	touch $(VENV)/.built $@
+
+$(VENV)/.lint: $(VENV)/bin/python $(BUILT)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[lint]'
+	touch $(VENV)/.built $(VENV)/.test $@
