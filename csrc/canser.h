@@ -40,7 +40,8 @@ enum {
     CANSER_NULL = 1,       /* a pointer that must not be NULL is NULL */
     CANSER_MISALIGNED = 2, /* an array does not lie on its element's alignment */
     CANSER_OVERLAP = 3,    /* an output shares bytes with the input or another output */
-    CANSER_REFUSED = 4     /* encode: the format cannot carry a frame */
+    CANSER_REFUSED = 4,    /* encode: the format cannot carry a frame */
+    CANSER_TICK = 5        /* tick_ns is less than 1 */
 };
 
 /* Why no packet starts at a position. One skipped byte is one reject. */
@@ -104,10 +105,12 @@ typedef struct {
 typedef struct {
     int64_t tick_ns;   /* nanoseconds in one tick */
     uint64_t turned;   /* ticks in whole turns of the counter so far */
+    uint64_t line;     /* where the clock last ran in line, in unwrapped ticks */
+    uint64_t line_at;  /* number of the frame there */
+    uint64_t jump_at;  /* number of the last frame whose step was not small */
     uint32_t raw;      /* counter of the last frame as it came */
-    uint32_t away_raw; /* the counter half a turn away, where `away` */
-    uint8_t away;      /* 1: the last step was half a turn */
-    uint8_t started;   /* 1: a frame has been seen */
+    uint8_t has_line;  /* 1: `line` is known */
+    uint8_t near_line; /* 1: the frame at `jump_at` was near `line` */
 } canser_clock;
 
 /* One wire format, a row of the table of protocols. Constant. */
@@ -164,7 +167,7 @@ const char *canser_refusal_text(int refusal);
 
 /* Start a stream: all counters zero, nothing held, the clock not started.
  * `tick_ns` is the unit of the device's timestamps in nanoseconds; a protocol
- * without a clock does not use it. Returns CANSER_OK or CANSER_NULL. */
+ * without a clock does not use it. Returns CANSER_OK, CANSER_NULL or CANSER_TICK. */
 int canser_decoder_init(canser_decoder *self, const canser_protocol *protocol, int64_t tick_ns);
 
 /* Decode the next bytes of the stream into `batch`.
@@ -197,8 +200,8 @@ int canser_decoder_flush(canser_decoder *self, canser_batch *batch);
  *
  * Returns CANSER_OK; CANSER_REFUSED at a frame the format cannot carry, with
  * its index in result->frame_count, why in result->refusal, and all frames
- * before it written; CANSER_NULL, CANSER_MISALIGNED and CANSER_OVERLAP before
- * anything was written. */
+ * before it written; CANSER_NULL, CANSER_TICK, CANSER_MISALIGNED and
+ * CANSER_OVERLAP before anything was written. */
 int canser_encode(const canser_protocol *protocol, int64_t tick_ns, const canser_frame *frames,
                   size_t frame_count, uint8_t *out, size_t out_cap, canser_encoded *result);
 

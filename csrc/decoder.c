@@ -45,6 +45,8 @@ int canser_decoder_init(canser_decoder *self, const canser_protocol *protocol, i
 {
     if (!self || !protocol)
         return CANSER_NULL;
+    if (tick_ns < 1)
+        return CANSER_TICK;
     memset(self, 0, sizeof *self);
     self->protocol = protocol;
     self->clock.tick_ns = tick_ns;
@@ -139,6 +141,8 @@ int canser_decoder_feed(canser_decoder *self, const uint8_t *data, size_t data_l
         return status;
     if (!self || !used || !self->protocol || (!data && data_len))
         return CANSER_NULL;
+    if (!batch->frame_cap)
+        return CANSER_OK;
 
     const struct canser_codec *const codec = self->protocol->codec;
     const uint64_t offset = self->stats.bytes_in; /* of data[0] */
@@ -183,7 +187,7 @@ int canser_decoder_flush(canser_decoder *self, canser_batch *batch)
         return status;
     if (!self || !self->protocol)
         return CANSER_NULL;
-    if (self->carry_len)
+    if (self->carry_len && batch->frame_cap)
         scan_carry(self, NULL, 0, batch, self->stats.bytes_in - self->carry_len, SCAN_END);
     return CANSER_OK;
 }
@@ -196,6 +200,8 @@ int canser_encode(const canser_protocol *protocol, int64_t tick_ns, const canser
     *result = (canser_encoded){0, 0, CANSER_REFUSAL_NONE};
     if (!protocol || (!frames && frame_count) || (!out && out_cap))
         return CANSER_NULL;
+    if (tick_ns < 1)
+        return CANSER_TICK;
     if (misaligned(frames, _Alignof(canser_frame)))
         return CANSER_MISALIGNED;
     if (spans_meet(span_of(frames, frame_count, sizeof *frames), span_of(out, out_cap, 1)))

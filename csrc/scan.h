@@ -11,41 +11,11 @@
  *               SCAN_WINDOW. `raw` is the device timestamp to send.
  *   refuse()    CANSER_REFUSAL_NONE, or why the format cannot carry the frame
  */
+#include "clock.h"
 
 /* How far ahead of the scan the caches are asked, in bytes and in records: a few
  * times what passes during one access to memory. */
 enum { PREFETCH_IN = 1024, PREFETCH_OUT = 128 };
-
-/* Steps from half a turn on, up to so many ticks more, are half turns. */
-#define HALF_TURN       UINT32_C(0x80000000)
-#define HALF_TURN_SLACK (UINT32_C(1) << 20)
-
-/* The counter of the clock makes a step that is not small and forward: the first
- * frame, a wrap, or a step back. Signed differences, so that a wrap is a step
- * forward, and a false time is undone by the next good one.
- *
- * But half a turn has no sign. A counter whose top bit is flipped goes half a
- * turn away and half a turn back, both of which read as steps back: a whole turn
- * would be lost for the rest of the stream. So of two half turns in a row the
- * second is a step forward. */
-CANSER_COLD void clock_jump(canser_clock *clock, uint32_t raw, bool first, canser_stats *stats)
-{
-    const uint32_t step = raw - clock->raw;
-    const bool half = step >= HALF_TURN && step - HALF_TURN < HALF_TURN_SLACK;
-    const bool returns = half && clock->away && clock->raw == clock->away_raw;
-    const bool back = step >= HALF_TURN && !returns;
-
-    if (first)
-        return;
-    stats->ts_wraps += !back && raw < clock->raw;
-    stats->ts_backsteps += back;
-    if (!back && raw < clock->raw)
-        clock->turned += UINT64_C(1) << 32;
-    else if (back && raw > clock->raw)
-        clock->turned -= UINT64_C(1) << 32;
-    clock->away = half && !returns;
-    clock->away_raw = raw;
-}
 
 /* From a reject at `p` to the next position where something else is found, or
  * the end of the scan. */
@@ -110,7 +80,8 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
     canser_stats *const stats = &self->stats;
     canser_clock clock = self->clock;
     const uint64_t apart = stats->bytes_control + stats->bytes_skipped;
-    const size_t count_before = batch->frame_count;
+    canser_frame *const begin = frame;
+    const uint64_t number_before = stats->frames;
     bool wants_more = false;
 
     while (p < stop && frame < frames_end) {
@@ -124,12 +95,8 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
         const probe_result found = probe(p, avail, frame, &raw);
         if (CANSER_LIKELY(found.kind == PROBE_FRAME)) {
             if (HAS_CLOCK) {
-                /* One test for all that is rare: a step back is negative here. */
-                const uint64_t step = (uint64_t)raw - clock.raw;
-                if (!CANSER_LIKELY(step <= INT32_MAX))
-                    clock_jump(&clock, raw, !clock.started && frame == batch->frames, stats);
-                clock.raw = raw;
-                frame->ts = (int64_t)((clock.turned + raw) * (uint64_t)clock.tick_ns);
+                frame->ts =
+                    clock_advance(&clock, raw, number_before + (uint64_t)(frame - begin), stats);
             } else {
                 frame->ts = CANSER_NO_TIME;
             }
@@ -154,9 +121,8 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
 
     const size_t end_pos = (size_t)(p - data);
     batch->frame_count = (size_t)(frame - batch->frames);
-    clock.started |= batch->frame_count > 0;
     self->clock = clock;
-    stats->frames += batch->frame_count - count_before;
+    stats->frames += (uint64_t)(frame - begin);
     stats->bytes_framed += end_pos - pos - (stats->bytes_control + stats->bytes_skipped - apart);
     return (scan_stop){end_pos, wants_more};
 }

@@ -1,0 +1,72 @@
+/* Private: the device clock, a counter of 32 bits unwrapped over the stream.
+ *
+ * Signed differences: each frame adds (int32)(raw - previous raw), so a wrap is a
+ * step forward, and a false time out of the noise is undone by the next good one.
+ *
+ * Mostly. Half a turn has no sign: a counter whose top bit is flipped goes half a
+ * turn away and half a turn back, and both read as steps back; two false times in
+ * a row can go round the circle in three steps. Then a whole turn, 49.7 days of
+ * milliseconds, would be wrong for the rest of the stream. So a clock that has run
+ * in line is remembered, and if one of the next few frames is near where it stood,
+ * that one is measured from there, whatever came between.
+ */
+#ifndef CANSER_CLOCK_H
+#define CANSER_CLOCK_H
+
+#include "protocol.h"
+
+/* A step of at most so many ticks is small: 16.8 s of microseconds, 4.7 hours of
+ * milliseconds, and one in 128 of the steps that noise makes. */
+#define SMALL_STEP (INT32_C(1) << 24)
+
+/* A clock that has made so many small steps forward in a row runs in line. Noise
+ * never does, and device clocks hardly do anything else. */
+enum { IN_LINE = 16 };
+
+/* Noise makes hardly more than three false frames in a row. Further on, a frame
+ * near the line may be one that really came a whole turn later. */
+enum { LINE_REACH = 4 };
+
+/* A step that is not small and forward: the first frame, a wrap, a step back, a
+ * long silence, a false time. Sets `turned` for the frame. */
+CANSER_COLD void clock_jump(canser_clock *clock, uint32_t raw, uint64_t number, canser_stats *stats)
+{
+    if (number == 0)
+        return;
+    const uint64_t before = clock->turned + clock->raw;
+    if (clock->near_line || number - 1 - clock->jump_at >= IN_LINE) {
+        clock->line = before;
+        clock->line_at = number - 1;
+        clock->has_line = 1;
+    }
+    uint64_t ticks = before + (uint64_t)(int64_t)(int32_t)(raw - clock->raw);
+    clock->near_line = 0;
+    if (clock->has_line && number - clock->line_at <= LINE_REACH) {
+        const int32_t from_line = (int32_t)(raw - (uint32_t)clock->line);
+
+        if (from_line >= -SMALL_STEP && from_line <= SMALL_STEP) {
+            ticks = clock->line + (uint64_t)(int64_t)from_line;
+            clock->near_line = 1;
+        }
+    }
+    const bool back = (int64_t)(ticks - before) < 0;
+    stats->ts_backsteps += back;
+    stats->ts_wraps += !back && raw < clock->raw;
+    clock->turned = ticks - raw;
+    clock->jump_at = number;
+}
+
+/* The time of frame `number` of the stream, in nanoseconds modulo 2^64. */
+CANSER_INLINE int64_t clock_advance(canser_clock *clock, uint32_t raw, uint64_t number,
+                                    canser_stats *stats)
+{
+    /* One test for all that is rare: a step back is negative, so large here. */
+    const uint64_t step = (uint64_t)raw - clock->raw;
+
+    if (!CANSER_LIKELY(step <= SMALL_STEP))
+        clock_jump(clock, raw, number, stats);
+    clock->raw = raw;
+    return (int64_t)((clock->turned + raw) * (uint64_t)clock->tick_ns);
+}
+
+#endif
