@@ -5,7 +5,6 @@ import threading
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Final, overload
 
 import numpy as np
@@ -163,9 +162,7 @@ class Decoder:
     def stats(self) -> Stats:
         """The counters as they are now."""
         with self._lock:
-            values = self._stream.counters()
-        values["rejects"] = MappingProxyType(values["rejects"])
-        return Stats(**values)
+            return Stats(**self._stream.counters())
 
     @property
     def pending(self) -> int:
