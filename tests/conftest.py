@@ -1,0 +1,85 @@
+"""What the tests share: Hypothesis' settings, and a decoder whose every call is watched."""
+
+import os
+from collections.abc import Iterable, Iterator
+from itertools import cycle
+
+import hypothesis
+import numpy as np
+from reference import RECORD, Control, Result, Stats, unpack
+
+import canser
+
+# No deadline: a shared machine is late now and then. In CI the same examples every time, so that
+# a failure there is never the luck of the draw.
+hypothesis.settings.register_profile(
+    "canser", deadline=None, max_examples=80, derandomize=bool(os.environ.get("CI"))
+)
+hypothesis.settings.load_profile("canser")
+
+
+class Run:
+    """A decoder fed piece by piece, all that came out of it, and the laws after every call."""
+
+    def __init__(self, protocol: str, unit: str = "ms", rooms: Iterable[int] = (64,)) -> None:
+        """`rooms`: how many frames fit into `out`, call by call, over and over."""
+        self.decoder = canser.Decoder(protocol, ts_unit=unit)
+        self.rooms: Iterator[int] = cycle(rooms)
+        self.records = bytearray()
+        self.offsets: list[int] = []
+        self.controls: list[Control] = []
+
+    def feed(self, piece: bytes) -> None:
+        """Feed all of the piece, in as many calls as the room takes."""
+        while True:
+            bytes_in = self.decoder.stats.bytes_in
+            used, full = self._call(piece)
+            assert self.decoder.stats.bytes_in == bytes_in + used
+            piece = piece[used:]
+            # A full `out` may have left whole packets behind, even where all bytes are taken.
+            if not full:
+                assert not piece, "stopped before the end although there was room"
+                return
+
+    def flush(self) -> None:
+        """End the stream."""
+        self._call(None)
+        while self.decoder.pending:
+            self._call(None)
+
+    def result(self) -> Result:
+        """Return all that came out so far."""
+        stats = Stats.of(self.decoder.stats)
+        return Result(unpack(bytes(self.records)), self.offsets, self.controls, stats)
+
+    def _call(self, piece: bytes | None) -> tuple[int, bool]:
+        """Feed or, with None, flush once; return the bytes used and whether `out` is full."""
+        room = next(self.rooms)
+        untouched = b"\xee" * RECORD.size
+        out = np.frombuffer(bytearray(untouched * room), canser.FRAME_DTYPE)
+        offsets = np.full(room, -1, np.int64)
+        if piece is None:
+            used, count = 0, self.decoder.flush_into(out, offsets)
+        else:
+            used, count = self.decoder.feed_into(piece, out, offsets)
+        assert out[count:].tobytes() == untouched * (room - count)
+        self.records += out[:count].tobytes()
+        self.offsets += offsets[:count].tolist()
+        self.controls += [Control(*control) for control in self.decoder.take_controls()]
+        stats = Stats.of(self.decoder.stats)
+        stats.check()
+        assert stats.pending == self.decoder.pending
+        assert stats.frames == len(self.offsets)
+        assert stats.controls == len(self.controls)
+        return used, count == room
+
+
+def assert_agree(run: Run, expected: Result) -> None:
+    """Assert that all that came out is what was expected, to the last byte of the records."""
+    actual = run.result()
+    assert actual.stats == expected.stats
+    assert actual.offsets == expected.offsets
+    assert actual.controls == expected.controls
+    assert actual.frames == expected.frames
+    # Equal frames may still hide a bool that is neither 0 nor 1.
+    assert bytes(run.records) == b"".join(RECORD.pack(*frame) for frame in expected.frames)

@@ -1,0 +1,513 @@
+"""canser against the reference: the same frames, offsets, control packets and statistics.
+
+On noise, on bytes that look like packets, on streams damaged in every way, however they are cut
+into pieces and however little room there is for the frames; and the laws that hold without any
+reference.
+"""
+
+import random
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import reference
+from conftest import Run, assert_agree
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from reference import ID_EXT_MAX, ID_MAX, NO_TIME, TICK_NS, Frame
+
+import canser
+
+PROTOCOLS = ("cantalope", "seeed", "serial")
+UNITS = tuple(TICK_NS)
+
+every_protocol = pytest.mark.parametrize("protocol", PROTOCOLS)
+
+
+def array(frames: list[Frame]) -> npt.NDArray[np.void]:
+    return np.frombuffer(reference.pack(frames), canser.FRAME_DTYPE)
+
+
+# --- strategies ---
+
+# Bytes that mean something to the protocol, or lie next to a bound.
+ALPHABET = {
+    "serial": bytes.fromhex("AA BB 00 01 07 08 09 1F 20 40 60 80 C0 FF"),
+    "seeed": bytes.fromhex("AA 55 C0 C1 C2 C8 C9 D0 D2 E0 E1 F0 F1 00 01 02 04 07 08 1F 20 BF FF"),
+    "cantalope": bytes.fromhex("FF 00 01 02 08 09 0F 10 18 1F E0 E8 EF F0 FE 20"),
+}
+
+any_unit = st.sampled_from(UNITS)
+any_byte = st.integers(0, 255)
+any_time = st.integers(-(2**63), 2**63 - 1)
+any_raw = st.sampled_from([0, 1, 0x7FFF_FFFF, 0x8000_0000, 0xAAAA_AAAA, 0xFFFF_FFFF]) | st.integers(
+    0, 2**32 - 1
+)
+any_id = st.sampled_from([0, 1, ID_MAX, ID_MAX + 1, ID_EXT_MAX, ID_EXT_MAX + 1, 2**32 - 1])
+
+
+def long_bytes(alphabet: bytes) -> st.SearchStrategy[bytes]:
+    """Many bytes out of one seed: Hypothesis alone hardly ever draws long lists."""
+    return st.builds(
+        lambda seed, size: bytes(random.Random(seed).choices(alphabet, k=size)),
+        st.integers(0, 2**32),
+        st.integers(0, 600),
+    )
+
+
+def random_bytes(_protocol: str) -> st.SearchStrategy[bytes]:
+    return st.binary(max_size=200) | long_bytes(bytes(range(256)))
+
+
+def few_significant_bytes(protocol: str, max_size: int) -> st.SearchStrategy[bytes]:
+    return st.lists(st.sampled_from(ALPHABET[protocol]), max_size=max_size).map(bytes)
+
+
+def significant_bytes(protocol: str) -> st.SearchStrategy[bytes]:
+    # The marks more often than the rest: without them nothing ever starts.
+    alphabet = ALPHABET[protocol] + 2 * ALPHABET[protocol][:3]
+    return few_significant_bytes(protocol, 100) | long_bytes(alphabet)
+
+
+@st.composite
+def good_frames(draw: st.DrawFn, protocol: str) -> Frame:
+    """Draw a frame that the format carries without loss, its time left out."""
+    ext = protocol != "cantalope" and draw(st.booleans())
+    limit = ID_EXT_MAX if ext else ID_MAX
+    id_ = draw(st.sampled_from([0, 0x55, 0xAA, 0x555, ID_MAX, limit]) | st.integers(0, limit))
+    rtr = draw(st.booleans())
+    err = protocol == "serial" and draw(st.booleans())
+    dlc = draw(st.integers(0, 8))
+    data = b"" if rtr else draw(st.binary(min_size=dlc, max_size=dlc))
+    if draw(st.booleans()):
+        data = bytes(ALPHABET[protocol][byte % len(ALPHABET[protocol])] for byte in data)
+    return Frame(id_, ext, rtr, dlc, err, data.ljust(8, b"\0"))
+
+
+@st.composite
+def any_frames(draw: st.DrawFn) -> Frame:
+    """Draw a row that a caller may hand to encode, good or not."""
+    return Frame(
+        draw(any_id | st.integers(0, ID_MAX)),
+        draw(st.booleans()),
+        draw(st.booleans()),
+        draw(st.integers(0, 8) | st.sampled_from([9, 15, 255])),
+        draw(st.booleans()),
+        draw(st.binary(min_size=8, max_size=8)),
+        draw(any_time | st.sampled_from([NO_TIME, -1, 0, 1_000_000])),
+    )
+
+
+def good_packets(protocol: str) -> st.SearchStrategy[bytes]:
+    return st.builds(
+        lambda frame, raw: reference.encode([frame._replace(ts=raw)], protocol, tick_ns=1),
+        good_frames(protocol),
+        any_raw,
+    )
+
+
+@st.composite
+def odd_serial(draw: st.DrawFn) -> bytes:
+    """Draw a frame of the other dialects: any id word, filler bytes in a remote frame."""
+    word = draw(any_id | st.integers(0, 2**32 - 1))
+    dlc = draw(st.integers(0, 9))
+    body = draw(st.binary(min_size=dlc, max_size=dlc))
+    head = b"\xaa" + draw(any_raw).to_bytes(4, "little") + bytes([dlc])
+    return head + word.to_bytes(4, "little") + body + b"\xbb"
+
+
+@st.composite
+def odd_seeed(draw: st.DrawFn) -> bytes:
+    """Draw a variable packet with any id, of either dialect of remote frames."""
+    type_ = 0xC0 | draw(st.integers(0, 0x3F))
+    id_ = draw(any_id | st.integers(0, ID_MAX)).to_bytes(4, "little")[: 4 if type_ & 0x20 else 2]
+    dlc = type_ & 0x0F
+    body = draw(st.binary(min_size=dlc, max_size=dlc) | st.just(b""))
+    return bytes([0xAA, type_]) + id_ + body + b"\x55"
+
+
+@st.composite
+def fixed_seeed(draw: st.DrawFn) -> bytes:
+    """Draw a fixed packet: a frame, a control packet, or a frame with one thing wrong."""
+    kind, form = draw(st.integers(1, 2)), draw(st.integers(1, 2))
+    limit = ID_EXT_MAX if kind == 2 else ID_MAX
+    fields = {
+        "command": 0x01,
+        "kind": kind,
+        "form": form,
+        "id": draw(st.just(limit) | st.integers(0, limit)),
+        "dlc": draw(st.integers(0, 8)),
+        "last": 0,
+        "sum": 0,
+    }
+    wrong = {
+        "command": st.sampled_from([0x00, 0x02, 0x04, 0x12, 0xFF]),
+        "kind": st.sampled_from([0, 3]),
+        "form": st.sampled_from([0, 3]),
+        "id": st.just(limit + 1) | st.integers(limit + 1, 2**32 - 1),
+        "dlc": st.sampled_from([9, 255]),
+        "last": st.integers(1, 255),
+        "sum": st.integers(1, 255),
+    }
+    if draw(st.booleans()):
+        name = draw(st.sampled_from(sorted(wrong)))
+        fields[name] = draw(wrong[name])
+    body = bytes([fields["command"], fields["kind"], fields["form"]])
+    body += fields["id"].to_bytes(4, "little") + bytes([fields["dlc"]])
+    body += draw(st.binary(min_size=8, max_size=8)) + bytes([fields["last"]])
+    return b"\xaa\x55" + body + bytes([(sum(body) + fields["sum"]) & 0xFF])
+
+
+@st.composite
+def odd_cantalope(draw: st.DrawFn) -> bytes:
+    """Draw a ping, an error report, another command, or any header and what it asks for."""
+    commands = [b"\xff\xff\x00", b"\xff\xff\x01\x07", b"\xff\xff\x02", b"\xff\xff"]
+    almost = st.integers(0, 15).map(lambda bit: 0xFFFF ^ 1 << bit)
+    header = draw(almost | st.integers(0, 0xFFFF))
+    body = draw(st.binary(min_size=header & 0x0F, max_size=header & 0x0F))
+    return draw(st.sampled_from(commands) | st.just(header.to_bytes(2, "big") + body))
+
+
+ODD: dict[str, st.SearchStrategy[bytes]] = {
+    "cantalope": odd_cantalope(),
+    "seeed": odd_seeed() | fixed_seeed(),
+    "serial": odd_serial(),
+}
+
+
+@st.composite
+def damaged(draw: st.DrawFn, stream: bytes) -> bytes:
+    """Damage the stream: a few bytes flipped, lost, inserted, doubled, or cut off."""
+    damage = st.tuples(
+        st.sampled_from(["flip", "delete", "insert", "duplicate", "cut"]),
+        st.integers(0, 2**16),
+        st.integers(1, 20),
+        any_byte,
+    )
+    for kind, place, length, byte in draw(st.lists(damage, max_size=6)):
+        start = place % (len(stream) + 1)
+        head, tail = stream[:start], stream[start:]
+        match kind:
+            case "flip" if tail:
+                stream = head + bytes([tail[0] ^ (byte or 1)]) + tail[1:]
+            case "delete":
+                stream = head + tail[length:]
+            case "insert":
+                stream = head + bytes([byte]) + tail
+            case "duplicate":
+                stream = head + tail[:length] + tail
+            case "cut" if length == 1:
+                stream = head
+    return stream
+
+
+@st.composite
+def packets_and_noise(draw: st.DrawFn, protocol: str) -> bytes:
+    """Packets good and odd, cut packets and noise, and damage on top of it all."""
+    packets = good_packets(protocol)
+    cut = st.builds(lambda packet, cut: packet[:cut], packets | ODD[protocol], st.integers(1, 19))
+    noise = st.binary(max_size=6) | few_significant_bytes(protocol, 6)
+    count = draw(st.integers(0, 16))
+    anything = packets | packets | ODD[protocol] | cut | noise
+    segments = draw(st.lists(anything, min_size=count, max_size=count))
+    return draw(damaged(b"".join(segments)))
+
+
+@st.composite
+def hostile_bytes(draw: st.DrawFn, protocol: str) -> bytes:
+    """Repeat a few significant bytes: a candidate at every byte, and none or few good.
+
+    Long enough for code that looks at many positions at once.
+    """
+    odd = ODD[protocol].map(lambda packet: packet[:-1])
+    pattern = draw(few_significant_bytes(protocol, 5) | odd | st.sampled_from([b"\xaa", b"\xff"]))
+    times = draw(st.integers(0, 700 // (len(pattern) + 1)))
+    good = draw(st.lists(good_packets(protocol), max_size=3))
+    stream = b"".join([pattern * times + packet for packet in good] or [pattern * times])
+    return stream + draw(few_significant_bytes(protocol, 20))
+
+
+any_cuts = st.lists(st.integers(0, 2**16), max_size=8)
+any_rooms = st.just([64]) | st.lists(st.integers(1, 5), min_size=1, max_size=4)
+
+
+# --- the second opinion ---
+
+
+def judge(protocol: str, stream: bytes, cuts: list[int], rooms: list[int], unit: str) -> None:
+    """Compare the two at the end of every piece and at the end of the stream."""
+    tick_ns = TICK_NS[unit]
+    run = Run(protocol, unit, rooms)
+    ends = sorted(cut % (len(stream) + 1) for cut in cuts)
+    for start, end in pairwise([0, *ends, len(stream)]):
+        run.feed(stream[start:end])
+        assert_agree(run, reference.decode(stream[:end], protocol, tick_ns, flush=False))
+    run.flush()
+    expected = reference.decode(stream, protocol, tick_ns)
+    assert_agree(run, expected)
+    # One truth: the one-shot decode is feed and flush.
+    decoder = canser.Decoder(protocol, ts_unit=unit)
+    streamed = decoder.feed(stream).tobytes() + decoder.flush().tobytes()
+    assert streamed == reference.pack(expected.frames)
+    whole = canser.decode(stream, protocol, ts_unit=unit)
+    assert whole.dtype == canser.FRAME_DTYPE
+    assert whole.tobytes() == streamed
+
+
+STREAMS = {
+    "random bytes": random_bytes,
+    "significant bytes": significant_bytes,
+    "packets and noise": packets_and_noise,
+    "hostile bytes": hostile_bytes,
+}
+
+
+@pytest.mark.parametrize("kind", STREAMS)
+@every_protocol
+@given(data=st.data())
+def test_streams(protocol: str, kind: str, data: st.DataObject) -> None:
+    stream = data.draw(STREAMS[kind](protocol), "stream")
+    cuts, rooms = data.draw(any_cuts, "cuts"), data.draw(any_rooms, "rooms")
+    judge(protocol, stream, cuts, rooms, data.draw(any_unit, "unit"))
+
+
+@every_protocol
+@pytest.mark.parametrize("byte", [0x00, 0x55, 0xAA, 0xBB, 0xC0, 0xFF])
+def test_one_byte_over_and_over(protocol: str, byte: int) -> None:
+    # Each length up to a few vectors' width and one that is long, then a good frame.
+    good = reference.encode([Frame(0x123, dlc=2, data=b"\xaa\x55".ljust(8, b"\0"), ts=0)], protocol)
+    for length in [*range(140), 5000]:
+        judge(protocol, bytes([byte]) * length + good + b"\xaa", [], [64], "ms")
+
+
+@every_protocol
+def test_many_control_packets(protocol: str) -> None:
+    # More of them in one piece than any buffer between C and Python is likely to hold.
+    packets = {
+        "cantalope": b"\xff\xff\x00\x24\x60",
+        "seeed": b"\xaa\x55\x04" + bytes(16) + b"\x04\xaa\xc0\x23\x01\x55",
+        "serial": bytes.fromhex("AA 00 00 00 00 00 01 00 00 00 BB"),
+    }
+    stream = packets[protocol] * 5000
+    expected = reference.decode(stream, protocol)
+    for room in (1000, 5000, 6000):
+        run = Run(protocol, rooms=[room])
+        run.feed(stream)
+        run.flush()
+        assert_agree(run, expected)
+
+
+# --- laws ---
+
+
+@every_protocol
+@given(data=st.data())
+def test_decode_gives_back_what_encode_sent(protocol: str, data: st.DataObject) -> None:
+    frames = data.draw(st.lists(good_frames(protocol), max_size=20), "frames")
+    unit = data.draw(any_unit, "unit")
+    if protocol == "serial":
+        # The first time is the counter's own; then any step that a signed difference can tell.
+        # In seconds the steps are shorter, or the sum would leave the 64 bits of a time.
+        most = 2**20 if unit == "s" else 2**31
+        ticks = data.draw(any_raw, "first time")
+        for index, frame in enumerate(frames):
+            frames[index] = frame._replace(ts=ticks * TICK_NS[unit])
+            ticks += data.draw(st.integers(-most, most - 1), "step")
+    stream = canser.encode(array(frames), protocol, ts_unit=unit)
+    assert reference.unpack(canser.decode(stream, protocol, ts_unit=unit).tobytes()) == frames
+    result = reference.decode(stream, protocol, TICK_NS[unit])
+    assert result.frames == frames
+    assert result.stats.bytes_framed == len(stream)
+
+
+@every_protocol
+@given(frames=st.lists(any_frames(), max_size=6), unit=any_unit)
+def test_encode(protocol: str, frames: list[Frame], unit: str) -> None:
+    try:
+        expected = reference.encode(frames, protocol, TICK_NS[unit])
+    except ValueError as problem:
+        index = str(problem).split()[1].rstrip(":")
+        with pytest.raises(ValueError, match=rf"\b{index}\b"):
+            canser.encode(array(frames), protocol, ts_unit=unit)
+    else:
+        assert canser.encode(array(frames), protocol, ts_unit=unit) == expected
+
+
+@every_protocol
+@given(data=st.data())
+def test_encode_good_frames(protocol: str, data: st.DataObject) -> None:
+    # Whatever stands behind the dlc and in a remote frame does not count, nor does a time that
+    # is no whole tick.
+    rubbish = st.builds(
+        lambda frame, data, ts: frame._replace(
+            data=frame.data[: frame.dlc] + data[frame.dlc :], ts=ts
+        ),
+        good_frames(protocol),
+        st.binary(min_size=8, max_size=8),
+        any_time.filter(lambda ts: ts != NO_TIME),
+    )
+    frames = data.draw(st.lists(rubbish, max_size=20), "frames")
+    unit = data.draw(any_unit, "unit")
+    expected = reference.encode(frames, protocol, TICK_NS[unit])
+    assert canser.encode(array(frames), protocol, ts_unit=unit) == expected
+
+
+@every_protocol
+@given(data=st.data())
+def test_decode_with_arrays_and_threads(protocol: str, data: st.DataObject) -> None:
+    stream = data.draw(packets_and_noise(protocol), "stream")
+    threads = data.draw(st.integers(1, 3), "threads")
+    expected = reference.decode(stream, protocol)
+    count = len(expected.frames)
+    assume(count > 0)
+    out, offsets = np.zeros(count, canser.FRAME_DTYPE), np.zeros(count, np.int64)
+    frames = canser.decode(stream, protocol, out=out, offsets=offsets, threads=threads)
+    assert np.shares_memory(frames, out)
+    assert frames.tobytes() == reference.pack(expected.frames)
+    assert offsets.tolist() == expected.offsets
+    if count > 1:
+        with pytest.raises(ValueError, match=rf"\b{count}\b"):
+            canser.decode(stream, protocol, out=out[:-1], threads=threads)
+
+
+@every_protocol
+@given(data=st.data())
+def test_a_stream_may_go_on_behind_its_end(protocol: str, data: st.DataObject) -> None:
+    streams = packets_and_noise(protocol)
+    first, second = data.draw(streams, "first"), data.draw(streams, "second")
+    run = Run(protocol, rooms=data.draw(any_rooms, "rooms"))
+    run.feed(first)
+    run.flush()
+    run.feed(second)
+    run.flush()
+    one, two = reference.decode(first, protocol), reference.decode(second, protocol)
+    offsets = one.offsets + [len(first) + offset for offset in two.offsets]
+    assert run.result().offsets == offsets
+    actual, clockless = run.result(), [frame._replace(ts=0) for frame in one.frames + two.frames]
+    assert [frame._replace(ts=0) for frame in actual.frames] == clockless
+    assert [packet.data for packet in actual.controls] == [
+        packet.data for packet in one.controls + two.controls
+    ]
+    # A run of skipped bytes may reach across the end of the first stream.
+    resyncs = one.stats.resyncs + two.stats.resyncs
+    assert actual.stats.resyncs in (resyncs, resyncs - 1)
+    for reason in reference.REASONS:
+        rejects = one.stats.rejects[reason] + two.stats.rejects[reason]
+        assert actual.stats.rejects[reason] == rejects
+
+
+@every_protocol
+@given(data=st.data())
+def test_reset_forgets_everything(protocol: str, data: st.DataObject) -> None:
+    streams = packets_and_noise(protocol)
+    first, second = data.draw(streams, "first"), data.draw(streams, "second")
+    run = Run(protocol)
+    run.decoder.feed(first)
+    run.decoder.reset()
+    run.feed(second)
+    run.flush()
+    assert_agree(run, reference.decode(second, protocol))
+
+
+# --- captures ---
+
+CAPTURES = Path(__file__).parents[2] / "shared" / "captures"
+
+# Captures without noise hold every frame of their log, and no byte outside a frame.
+FRAME_COUNTS = {"car": 82_558, "tesla": 12_974, "boat": 12_274}
+
+NAMES = [
+    "boat.seeed",
+    "boat.serial",
+    "car-noisy.seeed",
+    "car-noisy.serial",
+    "car.cantalope",
+    "car.seeed",
+    "car.serial",
+    "tesla.cantalope",
+    "tesla.seeed",
+    "tesla.serial",
+]
+
+every_capture = pytest.mark.parametrize("name", NAMES)
+
+
+def capture(name: str) -> tuple[bytes, str]:
+    """Return the bytes of a capture and its protocol."""
+    path = CAPTURES / f"{name}.bin"
+    if not path.exists():
+        pytest.skip(f"the capture {path.name} is not in the folder ../shared/captures")
+    return path.read_bytes(), name.partition(".")[2]
+
+
+@every_capture
+def test_start_of_capture(name: str) -> None:
+    stream, protocol = capture(name)
+    # Odd, so that the end cuts a packet in most captures.
+    stream = stream[:100_003]
+    held = reference.decode(stream, protocol, flush=False)
+    expected = reference.decode(stream, protocol)
+    assert ("noisy" in name) == (held.stats.bytes_skipped > 0)
+    for piece_len, room in ((len(stream), 20_000), (4095, 4096), (1021, 7)):
+        run = Run(protocol, rooms=[room])
+        for start in range(0, len(stream), piece_len):
+            run.feed(stream[start : start + piece_len])
+        assert_agree(run, held)
+        run.flush()
+        assert_agree(run, expected)
+    assert canser.decode(stream, protocol, threads=2).tobytes() == reference.pack(expected.frames)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if "noisy" not in name])
+def test_whole_capture(name: str) -> None:
+    stream, protocol = capture(name)
+    decoder = canser.Decoder(protocol)
+    frames = decoder.feed(stream)
+    assert len(frames) == FRAME_COUNTS[name.partition(".")[0]]
+    assert decoder.stats.bytes_framed == len(stream)
+
+
+@every_capture
+@settings(max_examples=15)
+@given(data=st.data())
+def test_damaged_capture(name: str, data: st.DataObject) -> None:
+    stream, protocol = capture(name)
+    start = data.draw(st.integers(0, len(stream) - 1), "start")
+    length = data.draw(st.integers(0, 1500), "length")
+    stream = data.draw(damaged(stream[start : start + length]), "stream")
+    cuts, rooms = data.draw(any_cuts, "cuts"), data.draw(any_rooms, "rooms")
+    judge(protocol, stream, cuts, rooms, "ms")
+
+
+# --- the clock, which needs longer runs than chance gives ---
+
+# Steps of a counter: a run of small ones, false times round the circle, and the way back to
+# near where it stood, or not so near.
+@st.composite
+def steps_of_a_counter(draw: st.DrawFn) -> list[int]:
+    run = draw(st.sampled_from([0, 1, 3, 14, 15, 16, 17, 18]))
+    away = draw(st.lists(st.sampled_from([k << 29 for k in range(1, 8)]), max_size=5))
+    near = draw(st.sampled_from([1, 0, -1, 2**24, 2**24 + 1, -(2**24), -(2**24) - 1]))
+    return [draw(st.integers(0, 9))] * run + away + [near - sum(away)]
+
+
+@settings(max_examples=400)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.lists(steps_of_a_counter(), max_size=6),
+    st.lists(st.integers(0, 2000), max_size=4),
+)
+def test_clock(start: int, runs: list[list[int]], cuts: list[int]) -> None:
+    raws = [start]
+    for step in (step for run in runs for step in run):
+        raws.append((raws[-1] + step) % 2**32)
+    stream = b"".join(b"\xaa" + raw.to_bytes(4, "little") + bytes(5) + b"\xbb" for raw in raws)
+    want = reference.decode(stream, "serial", 1)
+    decoder = canser.Decoder("serial", ts_unit="ns")
+    borders = [0, *sorted(cut for cut in cuts if cut < len(stream)), len(stream)]
+    times = [ts for a, b in pairwise(borders) for ts in decoder.feed(stream[a:b])["ts"].tolist()]
+    assert times == [frame.ts for frame in want.frames]
+    assert decoder.stats.ts_wraps == want.stats.ts_wraps
+    assert decoder.stats.ts_backsteps == want.stats.ts_backsteps
