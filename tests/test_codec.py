@@ -1,0 +1,538 @@
+"""Decoder, decode and encode: buffers, room, errors, threads. The wire is tested elsewhere."""
+
+import array
+import ctypes
+import mmap
+import pickle
+import sys
+import threading
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import FrozenInstanceError, asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import canser
+from canser import codec
+from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray
+from canser.traffic import line_noise, vehicle
+
+PROTOCOLS = canser.protocols()
+SOME = vehicle(0.2, extended=False)
+RAW = {protocol: canser.encode(SOME, protocol) for protocol in PROTOCOLS}
+
+
+def same(got: FrameArray, protocol: str, want: FrameArray = SOME) -> bool:
+    """Whether decoded frames are those that were encoded, as far as the wire carries them."""
+    want = want.copy()
+    if protocol != "serial":
+        want["ts"] = NO_TIME
+    want["data"][want["rtr"]] = 0
+    return np.array_equal(got, want)
+
+
+def test_protocols_are_the_table_of_c() -> None:
+    assert canser.protocols() == ("cantalope", "seeed", "serial")
+
+
+@pytest.mark.parametrize(
+    ("spelling", "name"),
+    [("python-can", "serial"), ("seeedstudio", "seeed"), ("waveshare", "seeed")],
+)
+def test_other_spellings_are_accepted(spelling: str, name: str) -> None:
+    assert canser.Decoder(spelling).protocol == name
+    assert np.array_equal(canser.decode(RAW[name], spelling), canser.decode(RAW[name], name))
+
+
+def test_unknown_names_say_what_there_is() -> None:
+    with pytest.raises(ValueError, match="unknown protocol 'foo'; have: cantalope, seeed, serial"):
+        canser.decode(b"", "foo")
+    with pytest.raises(TypeError, match="protocol must be a name"):
+        canser.Decoder(3)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="unknown ts_unit 'min'; have: s, ms, us, ns"):
+        canser.Decoder("serial", ts_unit="min")
+    with pytest.raises(ValueError, match="unknown ts_unit"):
+        canser.encode(SOME, "serial", ts_unit=["ms"])  # type: ignore[call-overload]
+
+
+# Every kind of buffer, read where it lies.
+
+
+def mapped(raw: bytes, tmp_path: Path) -> mmap.mmap:
+    path = tmp_path / "raw.bin"
+    path.write_bytes(raw)
+    with path.open("rb") as file:
+        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+
+
+BUFFERS: dict[str, Callable[[bytes, Path], Any]] = {
+    "bytes": lambda raw, _: raw,
+    "bytearray": lambda raw, _: bytearray(raw),
+    "memoryview": lambda raw, _: memoryview(raw),
+    "read-only array": lambda raw, _: np.frombuffer(raw, np.uint8),
+    "int8 array": lambda raw, _: np.frombuffer(raw, np.int8).copy(),
+    "two dimensions": lambda raw, _: np.frombuffer(raw, np.uint8)[None, :],
+    "mmap": mapped,
+    "array.array": lambda raw, _: array.array("B", raw),
+    "ctypes": lambda raw, _: (ctypes.c_ubyte * len(raw)).from_buffer_copy(raw),
+    "odd address": lambda raw, _: memoryview(b"x" + raw)[1:],
+}
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("kind", BUFFERS)
+def test_any_contiguous_buffer_of_bytes_is_read(kind: str, protocol: str, tmp_path: Path) -> None:
+    data = BUFFERS[kind](RAW[protocol], tmp_path)
+    assert same(canser.decode(data, protocol), protocol)
+
+
+@pytest.mark.parametrize(
+    ("data", "error", "message"),
+    [
+        ("AA55", TypeError, "data must be bytes .* not str; encode it first"),
+        (None, TypeError, "data must be bytes .* not NoneType"),
+        ([1, 2], TypeError, "not list"),
+        (np.zeros(4, np.uint16), TypeError, "single bytes, not an array of uint16"),
+        (np.zeros(4, FRAME_DTYPE), TypeError, "single bytes"),
+        (np.zeros(4, object), TypeError, "single bytes"),
+        (np.zeros(4, "M8[ns]"), TypeError, "not an array of datetime64"),
+        (array.array("I", [1]), TypeError, r"view\('u1'\)"),
+        (np.zeros(8, np.uint8)[::2], BufferError, "not contiguous.*ascontiguousarray"),
+        (memoryview(b"abcdef")[::-1], BufferError, "not contiguous"),
+    ],
+)
+def test_what_is_no_buffer_of_bytes_is_an_error(
+    data: Any, error: type[Exception], message: str
+) -> None:
+    decoder = canser.Decoder("serial")
+    for call in (decoder.feed, lambda x: decoder.feed_into(x, np.empty(1, FRAME_DTYPE))):
+        with pytest.raises(error, match=message):
+            call(data)
+    with pytest.raises(error, match=message):
+        canser.identify(data)
+    assert decoder.stats.bytes_in == 0
+
+
+def read_only(frames: FrameArray) -> FrameArray:
+    frames.flags.writeable = False
+    return frames
+
+
+@pytest.mark.parametrize(
+    ("out", "error", "message"),
+    [
+        (np.empty(4), TypeError, "out must be an array as .* makes, not an array of float64"),
+        (np.empty(4, object), TypeError, "not an array of object"),
+        (bytearray(96), TypeError, "not bytearray"),
+        (None, TypeError, "not NoneType"),
+        (np.empty(4, FRAME_DTYPE.newbyteorder()), TypeError, "out must be"),
+        (np.empty((2, 2), FRAME_DTYPE), ValueError, "out has 2 dimensions; it must have one"),
+        (np.empty(8, FRAME_DTYPE)[::2], ValueError, "out is not contiguous"),
+        (np.empty(0, FRAME_DTYPE), ValueError, "room for 0 frames"),
+        (read_only(np.empty(4, FRAME_DTYPE)), BufferError, "out is read-only"),
+        (np.empty(200, np.uint8)[1:193].view(FRAME_DTYPE), ValueError, "multiple of 8 bytes"),
+    ],
+)
+def test_an_out_that_cannot_be_filled_is_an_error(
+    out: Any, error: type[Exception], message: str
+) -> None:
+    decoder = canser.Decoder("seeed")
+    decoder.feed(b"\xaa")
+    with pytest.raises(error, match=message):
+        decoder.feed_into(RAW["seeed"], out)
+    with pytest.raises(error, match=message):
+        decoder.flush_into(out)
+    assert decoder.stats.bytes_in == decoder.pending == 1
+
+
+@pytest.mark.parametrize(
+    ("offsets", "error", "message"),
+    [
+        (np.empty(4, np.int32), TypeError, "offsets must be an array"),
+        (np.empty(4, float), TypeError, "offsets must be an array"),
+        (np.empty(3, np.int64), ValueError, "offsets has room for 3, out for 4 frames"),
+        (np.empty(8, np.int64)[::2], ValueError, "offsets is not contiguous"),
+        (np.empty(5, np.int64).view(np.uint8)[4:36].view(np.int64), ValueError, "multiple of 8"),
+    ],
+)
+def test_offsets_that_cannot_be_filled_are_an_error(
+    offsets: Any, error: type[Exception], message: str
+) -> None:
+    decoder = canser.Decoder("seeed")
+    with pytest.raises(error, match=message):
+        decoder.feed_into(RAW["seeed"], np.empty(4, FRAME_DTYPE), offsets)
+    assert decoder.stats.bytes_in == 0
+
+
+def test_memory_that_overlaps_is_an_error() -> None:
+    out = np.zeros(100, FRAME_DTYPE)
+    decoder = canser.Decoder("seeed")
+    with pytest.raises(ValueError, match="share memory"):
+        decoder.feed_into(out[90:].view(np.uint8), out)
+    with pytest.raises(ValueError, match="share memory"):
+        decoder.feed_into(RAW["seeed"], out[:4], out["ts"].base.view(np.int64)[:4])
+    with pytest.raises(ValueError, match="share memory"):
+        canser.encode(out, "seeed", out=out.view(np.uint8))
+    decoder.feed_into(out[90:].view(np.uint8), out[:90])  # beside each other is fine
+
+
+# Room: feed_into stops when it is full, decode says how much is needed.
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_feed_into_stops_when_out_is_full_and_goes_on(protocol: str) -> None:
+    decoder = canser.Decoder(protocol)
+    out = np.empty(7, FRAME_DTYPE)
+    offsets = np.empty(7, np.uint64)
+    raw, found, at = RAW[protocol], [], []
+    while raw:
+        used, count = decoder.feed_into(raw, out, offsets)
+        assert used == len(raw) or count == 7
+        found.append(out[:count].copy())
+        at.extend(offsets[:count].tolist())
+        raw = raw[used:]
+    assert same(np.concatenate(found), protocol)
+    whole = np.empty(len(SOME), np.int64)
+    canser.decode(RAW[protocol], protocol, offsets=whole)
+    assert at == whole.tolist()
+
+
+def test_rows_past_the_count_stay_as_they_were() -> None:
+    out = np.zeros(len(SOME) + 3, FRAME_DTYPE)
+    out["id"] = 77
+    _, count = canser.Decoder("seeed").feed_into(RAW["seeed"], out)
+    assert count == len(SOME)
+    assert out["id"][count:].tolist() == [77] * 3
+    assert not out["data"][count:].any()
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_decode_fills_out(protocol: str) -> None:
+    out = np.empty(len(SOME) + 1, FRAME_DTYPE)
+    frames = canser.decode(RAW[protocol], protocol, out=out)
+    assert np.shares_memory(frames, out)
+    assert same(frames, protocol)
+    exact = canser.decode(RAW[protocol], protocol, out=out[: len(SOME)])
+    assert len(exact) == len(SOME)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_decode_says_how_much_room_is_needed(protocol: str) -> None:
+    want = f"room for 5 frames, but the data holds {len(SOME)}; make room for at least"
+    with pytest.raises(ValueError, match=f"out has {want}"):
+        canser.decode(RAW[protocol], protocol, out=np.empty(5, FRAME_DTYPE))
+    with pytest.raises(ValueError, match=f"offsets has {want}"):
+        canser.decode(RAW[protocol], protocol, offsets=np.empty(5, np.int64))
+
+
+def test_room_is_enough_where_only_noise_follows() -> None:
+    out = np.empty(len(SOME), FRAME_DTYPE)
+    assert len(canser.decode(RAW["seeed"] + b"noise\xaa", "seeed", out=out)) == len(SOME)
+
+
+def test_frames_that_the_end_of_the_stream_lets_out_need_room_too() -> None:
+    # A cut fixed packet; only at the end is it clear that a frame lies inside.
+    inner = bytes.fromhex("AA C1 23 01 77 55")
+    raw = inner + b"\xaa\x55\x01" + inner
+    assert canser.decode(raw, "seeed")["id"].tolist() == [0x123, 0x123]
+    assert len(canser.decode(raw, "seeed", out=np.empty(2, FRAME_DTYPE))) == 2
+    with pytest.raises(ValueError, match="room for 1 frames, but the data holds 2"):
+        canser.decode(raw, "seeed", out=np.empty(1, FRAME_DTYPE))
+
+
+def test_arrays_that_are_returned_own_their_memory() -> None:
+    decoder = canser.Decoder("seeed")
+    first = decoder.feed(RAW["seeed"])
+    kept = first.copy()
+    decoder.feed(bytes(1000) + RAW["seeed"])
+    assert np.array_equal(first, kept)
+    assert first.base is None
+    assert first.flags.owndata
+    large = canser.decode(RAW["seeed"] * 300, "seeed")
+    assert large.base is None
+    assert len(large) == 300 * len(SOME)
+
+
+def test_dense_data_behind_sparse_data_is_whole() -> None:
+    # The room is estimated from the beginning, here noise: it must grow, several times.
+    raw = bytes(2 << 20) + RAW["seeed"] * 500
+    frames = canser.decode(raw, "seeed")
+    assert same(frames, "seeed", np.tile(SOME, 500))
+    short = bytes.fromhex("AA C0 23 01 55") * 400_000
+    frames = canser.decode(RAW["seeed"] * 300 + short, "seeed")
+    assert len(frames) == 300 * len(SOME) + 400_000
+
+
+def test_nothing_gives_nothing() -> None:
+    for protocol in PROTOCOLS:
+        frames = canser.decode(b"", protocol)
+        assert frames.dtype == FRAME_DTYPE
+        assert frames.shape == (0,)
+        assert canser.encode(frames, protocol) == b""
+
+
+# State.
+
+
+def test_stats_are_a_frozen_snapshot() -> None:
+    decoder = canser.Decoder("serial")
+    before = decoder.stats
+    decoder.feed(RAW["serial"] + b"\x01\x02\xaa")
+    after = decoder.stats
+    assert before.frames == before.bytes_in == 0
+    assert after.frames == len(SOME)
+    assert after.pending == decoder.pending == 1
+    assert after.bytes_skipped == after.rejects["marker"] == 2
+    assert after.bytes_in == after.bytes_framed + after.bytes_skipped + after.pending
+    assert list(after.rejects) == [
+        "marker", "type", "dlc", "id", "end", "sum", "field", "command", "cut",
+    ]  # fmt: skip
+    with pytest.raises(FrozenInstanceError):
+        after.frames = 3  # type: ignore[misc]
+
+
+def test_stats_can_be_compared_and_kept() -> None:
+    decoder = canser.Decoder("serial")
+    decoder.feed(RAW["serial"])
+    stats = decoder.stats
+    assert stats == decoder.stats
+    assert pickle.loads(pickle.dumps(stats)) == stats
+    assert asdict(stats)["rejects"] == stats.rejects
+    decoder.feed(b"x")
+    assert stats != decoder.stats
+
+
+def test_reset_forgets_everything() -> None:
+    decoder = canser.Decoder("seeed")
+    fresh = decoder.stats
+    decoder.feed(bytes.fromhex("AA 55 04") + bytes(16) + b"\x04" + b"noise" + b"\xaa")
+    assert decoder.stats.controls == 1
+    decoder.reset()
+    assert decoder.stats == fresh
+    assert decoder.pending == 0
+    assert decoder.take_controls() == []
+
+
+def test_feeding_goes_on_after_the_end_as_after_a_gap() -> None:
+    decoder = canser.Decoder("serial")
+    half = len(RAW["serial"]) // 2 + 3
+    frames = [decoder.feed(RAW["serial"][:half]), decoder.flush()]
+    offsets = np.empty(len(SOME), np.int64)
+    used, count = decoder.feed_into(RAW["serial"], np.empty(len(SOME), FRAME_DTYPE), offsets)
+    assert (used, count) == (len(RAW["serial"]), len(SOME))
+    assert offsets[0] == half
+    assert decoder.stats.frames == count + sum(map(len, frames))
+
+
+def test_control_packets_are_taken_once() -> None:
+    ping, error = b"\xff\xff\x00", b"\xff\xff\x01\x07"
+    decoder = canser.Decoder("cantalope")
+    decoder.feed(b"\x24\x60" + ping)
+    decoder.feed(error[:1])
+    decoder.feed(error[1:])
+    assert decoder.take_controls() == [canser.Control(2, ping), canser.Control(5, error)]
+    assert decoder.take_controls() == []
+    assert decoder.stats.controls == 2
+    assert decoder.controls_dropped == 0
+
+
+def test_control_packets_that_nobody_takes_are_bounded_and_counted() -> None:
+    count = codec._CONTROLS_KEPT * 2 + 500
+    decoder = canser.Decoder("cantalope")
+    out = np.empty(1, FRAME_DTYPE)
+    assert decoder.feed_into(b"\xff\xff\x00" * count, out) == (3 * count, 0)
+    kept = decoder.take_controls()
+    assert decoder.stats.controls == count == len(kept) + decoder.controls_dropped
+    assert len(kept) >= codec._CONTROLS_KEPT
+    assert kept[-1] == canser.Control(3 * (count - 1), b"\xff\xff\x00")
+
+
+@pytest.mark.parametrize(("unit", "tick"), codec.TS_UNITS.items())
+def test_units_of_time(unit: str, tick: int) -> None:
+    frames = np.zeros(3, FRAME_DTYPE)
+    frames["ts"] = np.array([0, 1, 5]) * tick
+    raw = canser.encode(frames, "serial", ts_unit=unit)
+    assert canser.decode(raw, "serial", ts_unit=unit)["ts"].tolist() == frames["ts"].tolist()
+    assert raw[1::11][:3] == b"\x00\x01\x05"
+
+
+def test_a_flipped_top_bit_of_the_clock_spoils_its_own_time_only() -> None:
+    # Half a turn away and half a turn back: both are steps back by the sign alone.
+    frames = np.zeros(40, FRAME_DTYPE)
+    frames["ts"] = np.arange(40) * 10
+    raw = bytearray(canser.encode(frames, "serial", ts_unit="ns"))
+    raw[11 * 20 + 4] ^= 0x80
+    expected = frames["ts"].copy()
+    expected[20] -= 2**31
+    decoder = canser.Decoder("serial", ts_unit="ns")
+    assert decoder.feed(raw)["ts"].tolist() == expected.tolist()
+    assert (decoder.stats.ts_backsteps, decoder.stats.ts_wraps) == (1, 1)
+
+
+# Encoding.
+
+
+@pytest.mark.parametrize(
+    ("protocol", "change", "message"),
+    [
+        ("serial", {"dlc": 9}, "dlc is over 8"),
+        ("serial", {"id": 0x800}, "over 0x7FF and ext is not set; set ext"),
+        ("serial", {"id": 0x20000000, "ext": True}, "over 0x1FFFFFFF"),
+        ("serial", {"id": 0xFFFFFFFF}, "over 0x7FF"),
+        ("serial", {"ts": NO_TIME}, "ts is not known .NaT.; set ts"),
+        ("seeed", {"err": True}, "no error frames; leave them out"),
+        ("seeed", {"id": 0x800}, "over 0x7FF"),
+        ("cantalope", {"ext": True}, "no extended frames; leave them out"),
+        ("cantalope", {"err": True}, "no error frames"),
+        ("cantalope", {"dlc": 255}, "dlc is over 8"),
+    ],
+)
+@pytest.mark.parametrize("index", [0, 1, 40, 99])
+def test_a_frame_that_cannot_be_carried_is_named(
+    protocol: str, change: dict[str, Any], message: str, index: int
+) -> None:
+    frames = np.zeros(100, FRAME_DTYPE)
+    for name, value in change.items():
+        frames[name][index] = value
+    with pytest.raises(ValueError, match=f"{protocol} cannot carry frame {index} .*{message}"):
+        canser.encode(frames, protocol)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_encode_into_room_of_just_the_size(protocol: str) -> None:
+    raw = RAW[protocol]
+    room = np.full(len(raw) + 1, 77, np.uint8)
+    got = canser.encode(SOME, protocol, out=room[:-1])
+    assert np.shares_memory(got, room)
+    assert got.tobytes() == raw
+    assert room[-1] == 77
+    with pytest.raises(ValueError, match=f"enough for {len(SOME) - 1} of {len(SOME)} frames"):
+        canser.encode(SOME, protocol, out=room[:-2])
+
+
+@pytest.mark.parametrize(
+    ("frames", "error", "message"),
+    [
+        (SOME[0], TypeError, "frames must be an array"),
+        (SOME["id"], TypeError, "not an array of uint32"),
+        (SOME[::2], ValueError, "frames is not contiguous; pass np.ascontiguousarray"),
+        (SOME[:4].reshape(2, 2), ValueError, "frames has 2 dimensions"),
+        (None, TypeError, "not NoneType"),
+    ],
+)
+def test_what_is_no_array_of_frames_is_not_encoded(
+    frames: Any, error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        canser.encode(frames, "serial")
+
+
+def test_encode_blocks_counts_frames_over_all_blocks() -> None:
+    bad = SOME[:3].copy()
+    bad["dlc"][1] = 9
+    blocks = codec.encode_blocks([SOME[:10], SOME[10:30], bad], "seeed")
+    assert next(blocks).tobytes() + next(blocks).tobytes() == canser.encode(SOME[:30], "seeed")
+    with pytest.raises(ValueError, match="frame 31"):
+        next(blocks)
+
+
+# Threads and memory.
+
+
+@pytest.mark.parametrize("threads", [0, -1, 2.5, "2"])
+def test_a_number_of_threads_is_a_positive_integer(threads: Any) -> None:
+    with pytest.raises((TypeError, ValueError), match="threads|integer"):
+        canser.decode(b"", "serial", threads=threads)
+
+
+def test_two_threads_on_one_decoder_lose_nothing() -> None:
+    decoder = canser.Decoder("cantalope")
+    packet = canser.encode(SOME[:1], "cantalope")
+    errors: list[BaseException] = []
+    counts: list[int] = []
+
+    def work() -> None:
+        try:
+            out = np.empty(64, FRAME_DTYPE)
+            found = 0
+            for _ in range(300):
+                found += decoder.feed_into(packet * 40, out)[1]
+                decoder.stats  # noqa: B018 - read while the other thread feeds
+            counts.append(found)
+        except BaseException as error:  # noqa: BLE001
+            errors.append(error)
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    try:
+        threads = [threading.Thread(target=work) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    finally:
+        sys.setswitchinterval(before)
+    assert not errors
+    assert sum(counts) == decoder.stats.frames == 4 * 300 * 40
+
+
+def test_the_gil_is_free_while_c_works() -> None:
+    # While one thread decodes, another one's Python runs: it sees the work unfinished.
+    raw = np.frombuffer(line_noise(RAW["serial"] * 2000), np.uint8)
+    out = np.empty(len(raw) // 11 + 1, FRAME_DTYPE)
+    decoder = canser.Decoder("serial")
+    started, done = threading.Event(), threading.Event()
+    turns = 0
+
+    def work() -> None:
+        started.set()
+        for _ in range(20):
+            decoder.feed_into(raw, out)
+        done.set()
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(10)  # nobody takes the GIL from a thread that holds it
+    try:
+        thread = threading.Thread(target=work)
+        thread.start()
+        started.wait()
+        while not done.is_set():
+            turns += 1
+            done.wait(0.0001)
+        thread.join()
+    finally:
+        sys.setswitchinterval(before)
+    assert turns > 3
+
+
+def test_feed_into_allocates_nothing() -> None:
+    decoder = canser.Decoder("serial")
+    out = np.empty(len(SOME) + 1, FRAME_DTYPE)
+    raw = RAW["serial"]
+    for _ in range(3):
+        decoder.feed_into(raw, out)
+    tracemalloc.start()
+    try:
+        for _ in range(100):
+            decoder.feed_into(raw, out)
+        kept, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # A few small objects of the call itself, and no more than of one call.
+    assert peak < 4096
+    assert kept < 2048
+
+
+def test_input_is_not_held_after_the_call() -> None:
+    decoder = canser.Decoder("serial")
+    data = bytearray(RAW["serial"] + b"\xaa")
+    decoder.feed(data)
+    data.clear()  # a bytearray that is held by somebody cannot be resized
+    assert decoder.pending == 1
+
+
+def test_repr_can_be_typed() -> None:
+    assert repr(canser.Decoder("waveshare", ts_unit="us")) == "Decoder('seeed', ts_unit='us')"

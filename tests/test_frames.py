@@ -1,0 +1,94 @@
+"""The record and the filters."""
+
+import numpy as np
+import pytest
+
+import canser
+from canser.frames import FRAME_DTYPE, NO_TIME
+
+
+def frames_of(*rows: tuple[int, bool, bool, bool]) -> canser.frames.FrameArray:
+    frames = np.zeros(len(rows), FRAME_DTYPE)
+    for frame, (arbitration_id, ext, rtr, err) in zip(frames, rows, strict=True):
+        frame["id"], frame["ext"], frame["rtr"], frame["err"] = arbitration_id, ext, rtr, err
+    return frames
+
+
+def test_record_is_laid_out_as_documented() -> None:
+    assert FRAME_DTYPE.itemsize == 24
+    assert FRAME_DTYPE.alignment == 8
+    assert FRAME_DTYPE.fields is not None
+    layout = {name: (field[1], str(field[0])) for name, field in FRAME_DTYPE.fields.items()}
+    assert layout == {
+        "id": (0, "uint32"),
+        "ext": (4, "bool"),
+        "rtr": (5, "bool"),
+        "dlc": (6, "uint8"),
+        "err": (7, "bool"),
+        "data": (8, "('u1', (8,))"),
+        "ts": (16, "int64"),
+    }
+
+
+def test_times_are_datetime64_without_a_copy() -> None:
+    frames = np.zeros(2, FRAME_DTYPE)
+    frames["ts"] = [NO_TIME, 1_500_000_000]
+    for kind in ("M8[ns]", "m8[ns]"):
+        times = frames["ts"].view(kind)
+        assert np.shares_memory(times, frames)
+        assert np.isnat(times[0])
+    assert frames["ts"].view("m8[ns]")[1] == np.timedelta64(1500, "ms")
+
+
+STD, EXT, RTR, ERR, OTHER = range(5)
+SOME = frames_of(
+    (0x123, False, False, False),
+    (0x00000123, True, False, False),
+    (0x123, False, True, False),
+    (0x020, False, False, True),
+    (0x456, False, False, False),
+)
+
+
+@pytest.mark.parametrize(
+    ("filters", "expected"),
+    [
+        ((), {STD, EXT, RTR, ERR, OTHER}),
+        # The examples of candump's manual page.
+        (("123:7FF",), {STD, EXT, RTR}),
+        (("123:C00007FF",), {STD}),
+        (("123~7FF",), {OTHER}),
+        (("0:0",), {STD, EXT, RTR, OTHER}),
+        (("#FFFFFFFF",), {ERR}),
+        (("#00000010",), set()),
+        # Eight digits mean extended, where the mask asks for it.
+        (("00000123:DFFFFFFF",), {EXT}),
+        (("00000123:1FFFFFFF",), {STD, EXT, RTR}),
+        (("00000123~9FFFFFFF",), {STD, RTR, OTHER}),
+        # Several: any of them.
+        (("456:7FF", "#1FFFFFFF"), {OTHER, ERR}),
+        (("123:7ff", "456:7ff"), {STD, EXT, RTR, OTHER}),
+    ],
+)
+def test_match_is_can_utils_notation(filters: tuple[str, ...], expected: set[int]) -> None:
+    assert set(np.flatnonzero(canser.match(SOME, *filters))) == expected
+
+
+def test_match_keeps_the_shape() -> None:
+    assert canser.match(SOME[:4].reshape(2, 2), "123:7FF").shape == (2, 2)
+    assert canser.match(SOME[:0], "123:7FF").shape == (0,)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "123", "123:", ":7FF", "123:7FG", "123#7FF", "~7FF", "123456789:7FF", " 1:2", "#"]
+)
+def test_a_filter_that_cannot_be_read_is_an_error_with_the_remedy(text: str) -> None:
+    with pytest.raises(ValueError, match=r"cannot read the filter .*ID:MASK"):
+        canser.match(SOME, text)
+
+
+def test_match_of_no_frames_is_an_error() -> None:
+    with pytest.raises(TypeError, match="frames must be an array of canser.FRAME_DTYPE"):
+        canser.match(np.zeros(3))  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="not list"):
+        canser.match([1, 2], "1:1")  # type: ignore[arg-type]

@@ -1,0 +1,66 @@
+"""Which protocol fits: the right one, and none where there is none."""
+
+import numpy as np
+import pytest
+
+import canser
+from canser.traffic import line_noise, vehicle
+
+
+@pytest.mark.parametrize("protocol", canser.protocols())
+@pytest.mark.parametrize("rate", [0, 0.001, 0.01])
+def test_the_right_protocol_is_first_and_fits(protocol: str, rate: float) -> None:
+    frames = vehicle(5, extended=protocol != "cantalope")
+    raw = line_noise(canser.encode(frames, protocol), rate=rate)
+    fits = canser.identify(raw)
+    assert [fit.protocol for fit in fits if fit.fits] == [protocol]
+    assert fits[0].protocol == protocol
+    assert sorted(fit.protocol for fit in fits) == list(canser.protocols())
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        np.random.default_rng(1).integers(0, 256, 50_000, np.uint8).tobytes(),
+        bytes(10_000),
+        b"\xaa" * 10_000,
+        b"The quick brown fox jumps over the lazy dog. " * 300,
+        b"",
+        b"\xaa",
+    ],
+    ids=["noise", "zeros", "markers", "text", "nothing", "one byte"],
+)
+def test_nothing_fits_what_is_none(data: bytes) -> None:
+    fits = canser.identify(data)
+    assert not any(fit.fits for fit in fits)
+
+
+def test_a_single_frame_is_enough_where_marks_are_strong() -> None:
+    raw = bytes.fromhex("AA C8 23 01 11 22 33 44 55 66 77 88 55")
+    assert canser.identify(raw)[0].protocol == "seeed"
+
+
+def test_evidence_is_that_of_the_bytes() -> None:
+    raw = canser.encode(vehicle(2), "seeed")
+    fit = canser.identify(raw + b"noise")[0]
+    decoder = canser.Decoder("seeed")
+    decoder.feed(raw + b"noise")
+    decoder.flush()
+    assert fit.stats == decoder.stats
+    assert fit.explained == pytest.approx(len(raw) / (len(raw) + 5))
+    assert fit.chance < 0.05
+    assert fit.luck == 0
+
+
+def test_large_data_is_looked_at_all_over_and_quickly() -> None:
+    raw = canser.encode(vehicle(60), "serial")
+    noise = np.random.default_rng(1).integers(0, 256, len(raw), np.uint8).tobytes()
+    half = canser.identify(noise + raw)[0]
+    assert half.protocol == "serial"
+    assert half.stats.bytes_in <= 1 << 18
+    assert half.explained == pytest.approx(0.5, abs=0.05)
+
+
+def test_the_same_bytes_give_the_same_answer() -> None:
+    raw = canser.encode(vehicle(1), "seeed")
+    assert canser.identify(raw) == canser.identify(raw)
