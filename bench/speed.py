@@ -15,9 +15,9 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
-import data
 
 import canser
+import data
 
 SETS: dict[str, Callable[[int, str], canser.frames.FrameArray]] = {
     "mixed": data.mixed,
@@ -74,43 +74,32 @@ def measure(name: str, protocol: str, count: int, rounds: int) -> None:
 
     expected = frames.copy()
     if protocol != "serial":
-        expected["ts"] = canser.frames.NO_TIME
+        expected["ts"] = canser.NO_TIME
     expected["data"][expected["rtr"]] = 0
     assert np.array_equal(canser.decode(raw, protocol, out=out), expected), "decoding is wrong"
     assert np.array_equal(canser.encode(frames, protocol, out=room), raw), "encoding is wrong"
 
     decoder = canser.Decoder(protocol)
     raw_copy, records = np.empty_like(raw), out[:count].view(np.uint64)
-    limit, ours, ratio = paired(
-        lambda: copy_and_fill(raw, raw_copy, records),
-        lambda: decoder.feed_into(raw, out),
-        rounds,
-    )
-    row("decode", name, protocol, count, len(raw), limit, ours, ratio)
     frames_copy, target = np.empty_like(frames), room[: len(raw)]
-    limit, ours, ratio = paired(
-        lambda: copy_and_fill(frames.view(np.uint64), frames_copy.view(np.uint64), target),
-        lambda: canser.encode(frames, protocol, out=room),
-        rounds,
-    )
-    row("encode", name, protocol, count, len(raw), limit, ours, ratio)
-
-
-def row(
-    work: str,
-    name: str,
-    protocol: str,
-    count: int,
-    size: int,
-    limit: float,
-    ours: float,
-    ratio: float,
-) -> None:
-    """Print one line of the table."""
-    print(
-        f"{work:7} {protocol:10} {name:9} {limit * 1e3:7.2f} ms {ours * 1e3:7.2f} ms "
-        f"{ratio:6.2f} {count / ours / 1e6:9.0f} {size / ours / 1e9:7.2f}"
-    )
+    works: list[tuple[str, Callable[[], object], Callable[[], object]]] = [
+        (
+            "decode",
+            lambda: copy_and_fill(raw, raw_copy, records),
+            lambda: decoder.feed_into(raw, out),
+        ),
+        (
+            "encode",
+            lambda: copy_and_fill(frames.view(np.uint64), frames_copy.view(np.uint64), target),
+            lambda: canser.encode(frames, protocol, out=room),
+        ),
+    ]
+    for work, limit, ours in works:
+        limit_s, ours_s, ratio = paired(limit, ours, rounds)
+        print(
+            f"{work:7} {protocol:10} {name:9} {limit_s * 1e3:7.2f} ms {ours_s * 1e3:7.2f} ms "
+            f"{ratio:6.2f} {count / ours_s / 1e6:9.0f} {len(raw) / ours_s / 1e9:7.2f}"
+        )
 
 
 def main() -> None:
