@@ -6,9 +6,9 @@ from itertools import cycle
 
 import hypothesis
 import numpy as np
-from reference import RECORD, Control, Result, Stats, unpack
 
 import canser
+from reference import RECORD, Control, Result, Stats, unpack
 
 # No deadline: a shared machine is late now and then. In CI the same examples every time, so that
 # a failure there is never the luck of the draw.

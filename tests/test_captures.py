@@ -1,6 +1,7 @@
 """Captures in files: read and blocks, mapped and piped."""
 
 import io
+import mmap
 import os
 import sys
 import threading
@@ -47,7 +48,7 @@ def test_blocks_add_up_to_the_whole(
     protocol: str, window: int, room: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Windows of a page or so: packets lie across their borders.
-    monkeypatch.setattr(captures, "_WINDOW", window * captures.mmap.ALLOCATIONGRANULARITY)
+    monkeypatch.setattr(captures, "_WINDOW", window * mmap.ALLOCATIONGRANULARITY)
     path, want = capture_of(protocol, tmp_path, 0.5 if room == 1 else 3)
     out = None if room is None else np.empty(room, FRAME_DTYPE)
     with canser.blocks(path, protocol, out=out) as run:
@@ -190,7 +191,7 @@ def test_mistakes_show_at_once(tmp_path: Path) -> None:
         canser.blocks(tmp_path / "none.bin", "seeed")
     with pytest.raises(FileNotFoundError):
         canser.read(tmp_path / "none.bin", "seeed")
-    with pytest.raises(OSError, match="directory|Permission"):
+    with pytest.raises(OSError, match=r"directory|Permission"):
         canser.read(tmp_path, "seeed")
     with pytest.raises(ValueError, match="threads"):
         canser.read(path, "seeed", threads=0)

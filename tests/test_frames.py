@@ -88,7 +88,7 @@ def test_a_filter_that_cannot_be_read_is_an_error_with_the_remedy(text: str) -> 
 
 
 def test_match_of_no_frames_is_an_error() -> None:
-    with pytest.raises(TypeError, match="frames must be an array of canser.FRAME_DTYPE"):
+    with pytest.raises(TypeError, match=r"frames must be an array of canser\.FRAME_DTYPE"):
         canser.match(np.zeros(3))  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="not list"):
         canser.match([1, 2], "1:1")  # type: ignore[arg-type]

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import shared
 
 import canser
+import shared
 from canser import cli
 from canser.frames import NO_TIME, FrameArray
 

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-import reference
-from conftest import Run, assert_agree
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from reference import ID_EXT_MAX, ID_MAX, NO_TIME, TICK_NS, Frame
 
 import canser
+import reference
+from conftest import Run, assert_agree
+from reference import ID_EXT_MAX, ID_MAX, NO_TIME, TICK_NS, Frame
 
 PROTOCOLS = ("cantalope", "seeed", "serial")
 UNITS = tuple(TICK_NS)
@@ -482,6 +482,7 @@ def test_damaged_capture(name: str, data: st.DataObject) -> None:
 
 
 # --- the clock, which needs longer runs than chance gives ---
+
 
 # Steps of a counter: a run of small ones, false times round the circle, and the way back to
 # near where it stood, or not so near.

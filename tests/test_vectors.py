@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+
+import canser
 import reference
 import vectors
 from conftest import Run, assert_agree
 from vectors import Vector
-
-import canser
 
 VECTORS = vectors.load_all()
 
