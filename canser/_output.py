@@ -1,15 +1,32 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and the standard output."""
 
 import contextlib
 import os
+import secrets
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from canser.errors import StreamClosedError
+
 
 class OutputExistsError(FileExistsError):
     """The file is there, and nobody said that it may be replaced."""
+
+
+@contextlib.contextmanager
+def standard_output() -> Iterator[BinaryIO]:
+    """Open the standard output for bytes, buffered and written whole at the end.
+
+    sys.stdout's own buffer may be none (python -u), which writes a part in silence when
+    a disk runs full. StreamClosedError if there is none.
+    """
+    if sys.stdout is None:
+        raise StreamClosedError("the standard output is closed; open it, or name a file")
+    sys.stdout.flush()
+    with open(sys.stdout.fileno(), "wb", closefd=False) as file:
+        yield file
 
 
 @contextlib.contextmanager
@@ -21,18 +38,23 @@ def whole_file(path: str, *, force: bool) -> Iterator[BinaryIO]:
     the file is there and `force` is False.
     """
     if path == "-":
-        yield sys.stdout.buffer
-        sys.stdout.buffer.flush()
+        with standard_output() as file:
+            yield file
         return
-    target = Path(os.path.realpath(path))  # a link stays a link
+    target = Path(path)
     if target.exists() and not target.is_file():
         with target.open("wb") as file:
             yield file
         return
+    target = Path(os.path.realpath(path))  # a link stays a link
     _check_free(target, path, force=force)
-    partial = target.with_name(f".{target.name}.{os.getpid()}.part")
+    partial = target.with_name(f".canser-{secrets.token_hex(4)}.part")
     try:
-        with partial.open("xb") as file:
+        opened = partial.open("xb")
+    except OSError as error:  # named as the caller knows it
+        raise type(error)(error.errno, error.strerror, path) from None
+    try:
+        with opened as file:
             yield file
             file.flush()
         _check_free(target, path, force=force)

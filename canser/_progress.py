@@ -8,12 +8,15 @@ from typing import Any, Self
 # Work that is done by then shows no bar, in seconds.
 _PATIENCE = 0.5
 
+# A longer title would push the bar off the line.
+_TITLE_LEN = 30
+
 
 class Progress:
     """Show how much of some bytes is done, on standard error if that is a terminal."""
 
     def __init__(self, title: str) -> None:
-        self._title = title
+        self._title = title if len(title) <= _TITLE_LEN else f"\u2026{title[1 - _TITLE_LEN :]}"
         self._begin = time.monotonic()
         self._shown = -1
         self._bar: Any = None

@@ -4,19 +4,20 @@ import argparse
 import contextlib
 import os
 import signal
+import stat
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from importlib.metadata import version
 from typing import NoReturn
 
 import numpy as np
 
 from canser import report
-from canser._output import whole_file
+from canser._output import standard_output, whole_file
 from canser._progress import Progress
 from canser.codec import TS_UNITS, Control, Decoder, Stats, protocols
 from canser.convert import convert
-from canser.errors import CanserError
+from canser.errors import CanserError, StreamClosedError
 from canser.files import FORMATS, RAW, FrameFile, format_of
 from canser.formats.candump import Writer as CandumpWriter
 from canser.frames import FRAME_DTYPE, match
@@ -236,33 +237,28 @@ def _info(args: argparse.Namespace) -> int:
         if source.decoder is not None:
             stats, controls = source.decoder.stats, source.decoder.take_controls()
             _check_found(stats, args)
-    for line in report.info_lines(tally, stats, controls):
-        print(line)
+    _print(report.info_lines(tally, stats, controls))
     return GOOD
 
 
 def _identify(args: argparse.Namespace) -> Fit:
     """Print which protocol fits the bytes of IN; raise DataError if none does."""
-    if args.source == "-":
+    mode = 0 if args.source == "-" else os.stat(args.source).st_mode  # noqa: PTH116
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        name = "standard input" if args.source == "-" else args.source
         raise CallError(
-            "standard input can be read only once: name its protocol with -p "
+            f"{name} can be read only once: name its protocol with -p "
             f"({', '.join(protocols())}), or put it into a file first"
         )
-    fits = identify(_bytes_of(args.source))
+    if os.path.getsize(args.source) == 0:  # noqa: PTH202
+        raise DataError(f"{args.source} is empty")
+    fits = identify(np.memmap(args.source, np.uint8, mode="r"))
     best = fits[0]
-    for line in report.fit_lines(fits):
-        print(line)
-    print()
+    _print([*report.fit_lines(fits), ""])
     if not best.fits:
         raise DataError(f"no protocol fits {args.source}; name it with -p if you know better")
-    print(f"protocol   {best.protocol}, which explains {best.score:.1%} of it beyond chance")
+    _print([f"protocol   {best.protocol}, which explains {best.score:.1%} of it beyond chance"])
     return best
-
-
-def _bytes_of(path: str) -> "np.ndarray[tuple[int], np.dtype[np.uint8]]":
-    if os.path.getsize(path) == 0:  # noqa: PTH202
-        raise DataError(f"{path} is empty")
-    return np.memmap(path, np.uint8, mode="r")
 
 
 def _dump(args: argparse.Namespace) -> int:
@@ -270,17 +266,23 @@ def _dump(args: argparse.Namespace) -> int:
         match(np.empty(0, FRAME_DTYPE), *args.filters)
     except ValueError as error:
         raise CallError(str(error)) from None
-    with _open(args) as source:
-        writer = CandumpWriter(sys.stdout.buffer)
+    with _open(args) as source, standard_output() as out:
+        writer = CandumpWriter(out)
         for frames in source:
             writer.write(frames[match(frames, *args.filters)])
-            sys.stdout.buffer.flush()
-        if source.decoder is not None:
-            stats = source.decoder.stats
-            _check_found(stats, args)
-            if stats.bytes_skipped or stats.controls:
-                _say(report.conservation(stats))
+            out.flush()
+        stats = None if source.decoder is None else source.decoder.stats
+    if stats is not None:
+        _check_found(stats, args)
+        if stats.bytes_skipped or stats.controls:
+            _say(report.conservation(stats))
     return GOOD
+
+
+def _print(lines: Iterable[str]) -> None:
+    """Print lines on the standard output."""
+    with standard_output() as out:
+        out.write("".join(f"{line}\n" for line in lines).encode())
 
 
 def _say(text: str) -> None:
@@ -290,16 +292,21 @@ def _say(text: str) -> None:
 
 @contextlib.contextmanager
 def _terminated_cleanly() -> Iterator[None]:
-    """Let SIGTERM end the program as an exception does: half a file is not left behind."""
+    """Let signals end the program as an exception does: half a file is not left behind."""
 
     def stop(number: int, _: object) -> NoReturn:
         raise SystemExit(128 + number)
 
-    before = signal.signal(signal.SIGTERM, stop)
+    before = {}
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)  # Windows has no SIGHUP; nohup ignores it
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            before[number] = signal.signal(number, stop)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -308,19 +315,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with _terminated_cleanly():
             code: int = args.run(args)
-            sys.stdout.flush()
             return code
     except BrokenPipeError:
-        # Nobody reads any more, as in `canser dump ... | head`. Python would say so
-        # once more when it closes the standard output.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return GOOD
+        return GOOD  # nobody reads any more, as in `canser dump ... | head`
     except KeyboardInterrupt:
         _say("canser: interrupted")
         return 130
-    except (CallError, FileExistsError, FileNotFoundError, IsADirectoryError) as error:
-        return _fail(BAD_CALL, error)
-    except PermissionError as error:
+    except (
+        CallError,
+        StreamClosedError,
+        FileExistsError,
+        FileNotFoundError,
+        IsADirectoryError,
+        NotADirectoryError,
+        PermissionError,
+    ) as error:
         return _fail(BAD_CALL, error)
     except (DataError, CanserError, ValueError, OSError) as error:
         return _fail(BAD_DATA, error)

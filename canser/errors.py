@@ -11,3 +11,7 @@ class CanserError(Exception):
 
 class FormatError(CanserError):
     """A file does not hold what its format promises; the message names the place."""
+
+
+class StreamClosedError(CanserError):
+    """The standard input or output is to be used, and the caller has closed it."""

@@ -7,6 +7,8 @@ from pathlib import PurePath
 from typing import BinaryIO, Final, Self
 
 from canser.captures import Blocks, blocks
+from canser.codec import Decoder
+from canser.errors import StreamClosedError
 from canser.formats import BY_SUFFIX
 from canser.frames import FrameArray
 
@@ -44,19 +46,18 @@ class FrameFile(Iterator[FrameArray]):
         progress: Callable[[int, int | None], None] | None = None,
     ) -> None:
         self.name = "standard input" if path == "-" else path
-        self.decoder = None
-        self._stack = contextlib.ExitStack()
-        file: BinaryIO = sys.stdin.buffer
-        if path != "-":
-            file = self._stack.enter_context(open(path, "rb"))  # noqa: PTH123, SIM115
+        self.decoder: Decoder | None = None
         self._blocks: Iterator[FrameArray]
-        if file_format == RAW:
-            if protocol is None:
-                raise ValueError(f"{self.name} holds raw bytes; they need a protocol")
-            raw: Blocks = blocks(file, protocol, ts_unit=ts_unit, progress=progress)
-            self.decoder, self._blocks = raw.decoder, raw
-        else:
-            self._blocks = BY_SUFFIX[f".{file_format}"].read(file, self.name)
+        with contextlib.ExitStack() as opening:
+            file = _standard_input() if path == "-" else opening.enter_context(open(path, "rb"))  # noqa: PTH123
+            if file_format == RAW:
+                if protocol is None:
+                    raise ValueError(f"{self.name} holds raw bytes; they need a protocol")
+                raw: Blocks = blocks(file, protocol, ts_unit=ts_unit, progress=progress)
+                self.decoder, self._blocks = raw.decoder, raw
+            else:
+                self._blocks = BY_SUFFIX[f".{file_format}"].read(file, self.name)
+            self._stack = opening.pop_all()
 
     def __iter__(self) -> Self:
         return self
@@ -69,3 +70,9 @@ class FrameFile(Iterator[FrameArray]):
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
+
+
+def _standard_input() -> BinaryIO:
+    if sys.stdin is None:
+        raise StreamClosedError("the standard input is closed; open it, or name a file")
+    return sys.stdin.buffer

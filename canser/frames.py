@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["FRAME_DTYPE", "NO_TIME", "FrameArray", "describe", "match"]
+__all__ = ["FRAME_DTYPE", "NO_TIME", "FrameArray", "describe", "flaw", "match"]
 
 FrameArray = npt.NDArray[np.void]
 
@@ -90,6 +90,16 @@ def _parse_filter(text: str) -> tuple[str, np.uint32, np.uint32]:
             wanted |= _EXT
         mask &= ~_ERR
     return found["kind"], np.uint32(wanted), np.uint32(mask)
+
+
+def flaw(arbitration_id: int, ext: bool, dlc: int) -> str | None:
+    """Return what keeps these from being a frame of classic CAN, None for nothing."""
+    limit = 0x1FFF_FFFF if ext else 0x7FF
+    if not 0 <= arbitration_id <= limit:
+        return f"the id {arbitration_id:#x} is over {limit:#x}"
+    if not 0 <= dlc <= 8:
+        return f"the dlc {dlc} is not 0 to 8; canser knows classic CAN only"
+    return None
 
 
 def describe(value: object) -> str:

@@ -13,8 +13,14 @@ PACKAGE = Path(canser.__file__).parent
 
 # The floors of the house. A module imports from the floors below its own only.
 FLOORS = [
-    ["canser._core", "canser.errors", "canser.frames", "canser._output", "canser._progress"],
-    ["canser._binding", "canser.formats._text", "canser.formats.npy", "canser.tally"],
+    ["canser._core", "canser.errors", "canser.frames", "canser._progress"],
+    [
+        "canser._binding",
+        "canser._output",
+        "canser.formats._text",
+        "canser.formats.npy",
+        "canser.tally",
+    ],
     ["canser.codec", "canser.formats.candump", "canser.formats.csv", "canser.traffic"],
     ["canser.captures", "canser.formats", "canser.identify"],
     ["canser.files", "canser.report"],

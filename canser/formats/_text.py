@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canser.errors import FormatError
-from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray
+from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, flaw
 
 Column = npt.NDArray[np.uint8]
 
@@ -98,10 +98,19 @@ def parse_seconds(text: str) -> int:
     elif text.strip().lower() in ("", "nan", "nat"):
         return NO_TIME
     else:
-        ts = round(float(text) * _SECOND)  # OverflowError for inf is a ValueError's kin
+        ts = _round_seconds(text)
     if not -(2**63) < ts < 2**63:
         raise ValueError(f"the time {text.strip()} does not fit 64 bits of nanoseconds")
     return ts
+
+
+def _round_seconds(text: str) -> int:
+    try:
+        return round(float(text) * _SECOND)
+    except OverflowError:  # inf
+        return 2**63
+    except ValueError:
+        raise ValueError(f"{text.strip()!r} is no time in seconds") from None
 
 
 # The fields of a record but for the padding of data: id ext rtr dlc err data ts.
@@ -123,11 +132,11 @@ def rows_to_frames(rows: list[Row]) -> FrameArray:
 def check_row(row: Row) -> Row:
     """Return a parsed row if it is a CAN frame, or raise ValueError."""
     arbitration_id, ext, rtr, dlc, _, data, _ = row
-    limit = 0x1FFFFFFF if ext else 0x7FF
-    if not 0 <= arbitration_id <= limit:
-        raise ValueError(f"the id {arbitration_id:#x} is over {limit:#x}")
-    if not 0 <= dlc <= 8:
-        raise ValueError(f"the dlc {dlc} is not 0 to 8; canser reads classic CAN only")
+    found = flaw(arbitration_id, ext, dlc)
+    if found is not None:
+        raise ValueError(found)
+    if rtr and data:
+        raise ValueError(f"a remote frame has no data, but there are {len(data)} bytes")
     if not rtr and len(data) != dlc:
         raise ValueError(f"the dlc is {dlc}, but there are {len(data)} bytes of data")
     return row

@@ -111,5 +111,5 @@ def _rows(file: BinaryIO, name: str) -> Iterator[_text.Row]:
         try:
             row = (*row[:6], _text.parse_seconds(found["ts"]))
             yield _text.check_row(row)
-        except (ValueError, OverflowError) as error:
+        except ValueError as error:
             raise FormatError(f"{name}, line {number}: {error}") from None

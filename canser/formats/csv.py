@@ -11,10 +11,9 @@ names of the header, so columns may be in any order and others may be there.
 """
 
 import base64
-import binascii
 import csv
-from collections.abc import Iterator
-from typing import BinaryIO, Final
+from collections.abc import Callable, Iterator
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 
@@ -103,7 +102,7 @@ def _rows(file: BinaryIO, name: str) -> Iterator[_text.Row]:
         _, header = next(numbered)
     except StopIteration:
         return
-    names = [column.strip() for column in header.split(",")]
+    names = [column.strip() for column in next(csv.reader([header]))]
     missing = [column for column in COLUMNS if column not in names]
     if missing:
         raise FormatError(
@@ -118,27 +117,32 @@ def _rows(file: BinaryIO, name: str) -> Iterator[_text.Row]:
             raise FormatError(
                 f"{name}, line {number}: {len(fields)} fields where the header has {len(names)}"
             ) from None
-        except (ValueError, OverflowError, csv.Error, binascii.Error) as error:
+        except (ValueError, csv.Error) as error:
             raise FormatError(f"{name}, line {number}: {error}") from None
 
 
-_FLAGS: Final = {"0": False, "1": True, "false": False, "true": True}
+def _flag(text: str) -> bool:
+    return {"0": False, "1": True, "false": False, "true": True}[text.strip().lower()]
+
+
+# How each column is read, and what it must be.
+_COLUMNS: Final[tuple[tuple[Callable[[str], Any], str], ...]] = (
+    (_text.parse_seconds, "a time in seconds"),
+    (lambda text: int(text, 16), "a hexadecimal number"),
+    (_flag, "0 or 1"),
+    (_flag, "0 or 1"),
+    (_flag, "0 or 1"),
+    (int, "a number"),
+    (lambda text: base64.b64decode(text, validate=True), "base64"),
+)
 
 
 def _row(fields: list[str]) -> _text.Row:
-    ts, arbitration_id, ext, rtr, err, dlc, data = fields
-    flags = []
-    for column, text in zip(COLUMNS[2:5], (ext, rtr, err), strict=True):
+    values = []
+    for name, text, (parse, kind) in zip(COLUMNS, fields, _COLUMNS, strict=True):
         try:
-            flags.append(_FLAGS[text.strip().lower()])
-        except KeyError:
-            raise ValueError(f"{column} is {text!r}; it must be 0 or 1") from None
-    return (
-        int(arbitration_id, 16),
-        flags[0],
-        flags[1],
-        int(dlc),
-        flags[2],
-        base64.b64decode(data, validate=True),
-        _text.parse_seconds(ts),
-    )
+            values.append(parse(text))
+        except (ValueError, KeyError):
+            raise ValueError(f"{name} is {text[:60]!r}; it must be {kind}") from None
+    ts, arbitration_id, ext, rtr, err, dlc, data = values
+    return arbitration_id, ext, rtr, dlc, err, data, ts

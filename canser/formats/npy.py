@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from canser.errors import FormatError
-from canser.frames import FRAME_DTYPE, FrameArray
+from canser.frames import FRAME_DTYPE, FrameArray, flaw
 
 # Frames that are handed on at a time.
 _BLOCK = 1 << 16
@@ -71,9 +71,10 @@ def read(file: BinaryIO, name: str) -> Iterator[FrameArray]:
         version = npy.read_magic(file)
         read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
         shape, _, dtype = read_header(file)
-    except ValueError as error:
-        raise FormatError(f"{name}: no .npy file: {error}") from None
-    if dtype != FRAME_DTYPE or len(shape) != 1:
+    except Exception as error:  # noqa: BLE001 - numpy evaluates the header: anything may come
+        reason = str(error).partition("\n")[0]
+        raise FormatError(f"{name}: no .npy file: {reason}") from None
+    if dtype != FRAME_DTYPE or len(shape) != 1 or shape[0] < 0:
         raise FormatError(
             f"{name}: holds {dtype} of shape {shape}; canser reads arrays of "
             "canser.FRAME_DTYPE in one dimension"
@@ -85,5 +86,16 @@ def read(file: BinaryIO, name: str) -> Iterator[FrameArray]:
         if len(raw) < size:
             have = shape[0] - left + len(raw) // FRAME_DTYPE.itemsize
             raise FormatError(f"{name}: ends after {have} of {shape[0]} frames; is it cut off?")
-        yield np.frombuffer(raw, FRAME_DTYPE)
-        left -= len(raw) // FRAME_DTYPE.itemsize
+        frames = np.frombuffer(raw, FRAME_DTYPE)
+        _check(frames, shape[0] - left, name)
+        yield frames
+        left -= len(frames)
+
+
+def _check(frames: FrameArray, first: int, name: str) -> None:
+    """Raise FormatError for the first record that is no CAN frame."""
+    limit = np.where(frames["ext"], 0x1FFF_FFFF, 0x7FF)
+    for index in np.flatnonzero((frames["id"] > limit) | (frames["dlc"] > 8))[:1]:
+        row = frames[index]
+        found = flaw(int(row["id"]), bool(row["ext"]), int(row["dlc"]))
+        raise FormatError(f"{name}, frame {first + index}: {found}")
