@@ -1,0 +1,915 @@
+/* What canser.h promises of memory: nothing is read outside the input, nothing
+ * is written outside the arrays, and the caller's mistakes are found before a
+ * byte is touched. Every input and every array lies against a page that may not
+ * be touched, once with its end and once with its start. POSIX only.
+ *
+ *     guard           all but more than 4 GiB in one call
+ *     guard --huge    only that: it takes some seconds
+ */
+#define _DEFAULT_SOURCE /* MAP_ANONYMOUS, where -std=c11 hides it */
+#define _DARWIN_C_SOURCE
+
+#include "drive.h"
+
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+enum {
+    LEN_MAX = 160, /* the longest stream: some windows, and a page holds its rows */
+    ROW_CAP = LEN_MAX / 2 + 2,
+    SHIFT_MAX = 8,   /* all alignments of a word */
+    FRAMES_MAX = 12, /* of an encoding */
+    FAILURES_SHOWN = 10
+};
+
+static unsigned long long passed, failed;
+
+/* Where the test is: what a failure and a fault print. */
+static struct {
+    const char *part;
+    int protocol;
+    int kind;
+    size_t len, shift, frame_cap, control_cap;
+    bool at_end;
+} now;
+
+static void print_now(FILE *to)
+{
+    fprintf(to, "%s, %s, kind %d, len %zu, shift %zu, frame_cap %zu, control_cap %zu, at the %s\n",
+            now.part, plain_name(now.protocol), now.kind, now.len, now.shift, now.frame_cap,
+            now.control_cap, now.at_end ? "end" : "start");
+}
+
+static void check(bool holds, const char *what)
+{
+    if (holds) {
+        passed++;
+    } else if (failed++ < FAILURES_SHOWN) {
+        printf("FAILED %s: ", what);
+        print_now(stdout);
+    }
+}
+
+static struct sigaction before_fault[2];
+
+/* A guard page was touched: say where the test is, then let the fault happen
+ * again for whoever handled it before, the system or a sanitizer. */
+static void on_fault(int number)
+{
+    fprintf(stderr, "FAILED touched memory that is not its own: ");
+    print_now(stderr);
+    sigaction(SIGSEGV, &before_fault[0], NULL);
+    sigaction(SIGBUS, &before_fault[1], NULL);
+    (void)number;
+}
+
+static void catch_faults(void)
+{
+    struct sigaction action;
+
+    memset(&action, 0, sizeof action);
+    action.sa_handler = on_fault;
+    sigemptyset(&action.sa_mask);
+    sigaction(SIGSEGV, &action, &before_fault[0]);
+    sigaction(SIGBUS, &action, &before_fault[1]);
+}
+
+/* Random numbers, the same in every run: xorshift64*. */
+static uint64_t random_state = 0x9E3779B97F4A7C15;
+
+static uint64_t random_word(void)
+{
+    random_state ^= random_state >> 12;
+    random_state ^= random_state << 25;
+    random_state ^= random_state >> 27;
+    return random_state * 0x2545F4914F6CDD1D >> 8;
+}
+
+static size_t random_below(size_t bound)
+{
+    return (size_t)(random_word() % bound);
+}
+
+/* Some pages between two that may not be touched. */
+typedef struct {
+    uint8_t *begin;
+    size_t size;
+} arena;
+
+static size_t page_size(void)
+{
+    return (size_t)sysconf(_SC_PAGESIZE);
+}
+
+static arena arena_new(size_t size)
+{
+    const size_t page = page_size();
+    arena a = {.size = (size + page - 1) / page * page};
+    uint8_t *p = mmap(NULL, a.size + 2 * page, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+
+    if (p == MAP_FAILED || mprotect(p + page, a.size, PROT_READ | PROT_WRITE)) {
+        perror("guard: mmap");
+        exit(2);
+    }
+    a.begin = p + page;
+    return a;
+}
+
+/* The bytes around an array in its arena. For an input it is the end mark that
+ * a reader who goes too far would like to find. */
+static uint8_t filler(drive_slot slot)
+{
+    static const uint8_t end_marks[PLAIN_PROTOCOL_COUNT] = {
+        [PLAIN_CANTALOPE] = 0x00, [PLAIN_SEEED] = 0x55, [PLAIN_SERIAL] = 0xBB};
+
+    return slot == DRIVE_INPUT ? end_marks[now.protocol] : 0x5A;
+}
+
+/* Put `size` bytes against the guard behind or before the arena, `shift` away. */
+static uint8_t *put(const arena *a, size_t size, size_t shift, uint8_t fill)
+{
+    memset(a->begin, fill, a->size);
+    return now.at_end ? a->begin + a->size - size - shift : a->begin + shift;
+}
+
+static bool is_filled(const uint8_t *p, const uint8_t *end, uint8_t fill)
+{
+    while (p < end && *p == fill)
+        p++;
+    return p == end;
+}
+
+/* Whether the arena is as it was, but for the `size` bytes at `p`. */
+static bool is_clean_around(const arena *a, const uint8_t *p, size_t size, uint8_t fill)
+{
+    return is_filled(a->begin, p, fill) && is_filled(p + size, a->begin + a->size, fill);
+}
+
+static arena arenas[DRIVE_SLOT_COUNT];
+
+/* For `drive`: the memory of one call. */
+static void *place(drive_slot slot, size_t size)
+{
+    return put(&arenas[slot], size, slot == DRIVE_INPUT ? now.shift : 0, filler(slot));
+}
+
+static void drop(drive_slot slot, void *p, size_t size)
+{
+    if (!is_clean_around(&arenas[slot], p, size, filler(slot)))
+        check(false, "memory around an array was written");
+}
+
+/* A frame that the protocol can carry. */
+static canser_frame random_frame(int protocol)
+{
+    static const int64_t units[] = {1, 1000, 1000000, 1000000000};
+    canser_frame f;
+
+    memset(&f, 0, sizeof f);
+    f.ext = protocol != PLAIN_CANTALOPE && random_below(2);
+    f.id = (uint32_t)random_word() & (f.ext ? 0x1FFFFFFF : 0x7FF);
+    if (random_below(8) == 0)
+        f.id = f.ext ? 0x1FFFFFFF : 0x7FF;
+    f.rtr = random_below(4) == 0;
+    f.err = protocol == PLAIN_SERIAL && random_below(8) == 0;
+    f.dlc = (uint8_t)random_below(9);
+    /* All eight, whatever the dlc: what lies behind it must not go out. */
+    for (int i = 0; i < 8; i++)
+        f.data[i] = (uint8_t)random_word();
+    f.ts = (int64_t)(random_word() % 0x200000000) * units[random_below(4)] - 0x80000000;
+    return f;
+}
+
+/* Kinds of streams. */
+enum {
+    KIND_CLEAN,   /* frames, one behind the other */
+    KIND_NOISY,   /* the same with control packets, and bytes lost, changed and added */
+    KIND_HOSTILE, /* any order of the bytes that mean something */
+    KIND_MARKERS, /* nothing but the first byte of candidates */
+    KIND_COUNT
+};
+
+static size_t random_packet(int protocol, uint8_t out[CANSER_PACKET_MAX])
+{
+    const canser_frame f = random_frame(protocol);
+    int refusal;
+
+    if (protocol == PLAIN_CANTALOPE && random_below(6) == 0) {
+        out[0] = out[1] = 0xFF;
+        out[2] = (uint8_t)random_below(2);
+        out[3] = (uint8_t)random_word();
+        return out[2] ? 4 : 3;
+    }
+    if (protocol == PLAIN_SEEED && random_below(4) == 0) {
+        unsigned sum = 0;
+        out[0] = 0xAA;
+        out[1] = 0x55;
+        for (int i = 2; i < 19; i++)
+            out[i] = (uint8_t)random_word();
+        if (random_below(2)) {
+            out[2] = 0x01;
+            out[3] = f.ext ? 2 : 1;
+            out[4] = f.rtr ? 2 : 1;
+            for (int i = 0; i < 4; i++)
+                out[5 + i] = (uint8_t)(f.id >> 8 * i);
+            out[9] = f.dlc;
+            out[18] = 0;
+        }
+        for (int i = 2; i < 19; i++)
+            sum += out[i];
+        out[19] = (uint8_t)sum;
+        return 20;
+    }
+    size_t len = plain_encode(protocol, 1000, &f, out, &refusal);
+    if (f.rtr && random_below(2)) {
+        /* The other form of a remote frame: with filler, or without. */
+        len -= protocol != PLAIN_CANTALOPE;
+        if (protocol == PLAIN_SERIAL) {
+            for (int i = 0; i < f.dlc; i++)
+                out[len++] = (uint8_t)random_word();
+            out[len++] = 0xBB;
+        } else if (protocol == PLAIN_SEEED) {
+            len -= f.dlc;
+            out[len++] = 0x55;
+        }
+    }
+    return len;
+}
+
+static void make_stream(int protocol, int kind, uint8_t *stream, size_t len)
+{
+    static const char *const alphabets[PLAIN_PROTOCOL_COUNT] = {
+        [PLAIN_CANTALOPE] = "\xFF\xFF\xFF\x01\x00\x08\x09\x12",
+        [PLAIN_SEEED] = "\xAA\xAA\xAA\x55\x55\xC0\xE1\x01",
+        [PLAIN_SERIAL] = "\xAA\xAA\xAA\xBB\xBB\x00\x01\x40"};
+    size_t pos = 0;
+
+    while (pos < len) {
+        uint8_t packet[CANSER_PACKET_MAX];
+        size_t packet_len = 1;
+
+        if (kind == KIND_HOSTILE) {
+            packet[0] = (uint8_t)alphabets[protocol][random_below(8)];
+        } else if (kind == KIND_MARKERS) {
+            packet[0] = (uint8_t)alphabets[protocol][0];
+        } else {
+            packet_len = random_packet(protocol, packet);
+        }
+        if (kind == KIND_NOISY && random_below(3) == 0)
+            packet[random_below(packet_len)] ^= (uint8_t)(1 << random_below(8));
+        if (kind == KIND_NOISY && random_below(3) == 0)
+            packet_len = 1 + random_below(packet_len);
+        for (size_t i = 0; i < packet_len && pos < len; i++)
+            stream[pos++] = packet[i];
+        if (kind == KIND_NOISY && random_below(4) == 0 && pos < len)
+            stream[pos++] = (uint8_t)alphabets[protocol][random_below(8)];
+    }
+}
+
+/* The rows of three decodings. */
+static struct {
+    canser_frame frames[ROW_CAP];
+    int64_t offsets[ROW_CAP];
+    canser_control controls[ROW_CAP];
+} rows[3];
+
+static drive driven;
+static plain_stream open_stream, ended_stream;
+
+static void set_up(void)
+{
+    for (int i = 0; i < DRIVE_SLOT_COUNT; i++)
+        arenas[i] = arena_new(ROW_CAP * sizeof(canser_control));
+    driven = (drive){.frames = rows[0].frames,
+                     .offsets = rows[0].offsets,
+                     .controls = rows[0].controls,
+                     .row_cap = ROW_CAP,
+                     .place = place,
+                     .drop = drop};
+    open_stream = (plain_stream){.frames = rows[1].frames,
+                                 .offsets = rows[1].offsets,
+                                 .controls = rows[1].controls,
+                                 .row_cap = ROW_CAP};
+    ended_stream = (plain_stream){.frames = rows[2].frames,
+                                  .offsets = rows[2].offsets,
+                                  .controls = rows[2].controls,
+                                  .row_cap = ROW_CAP};
+}
+
+/* What the records promise of every byte, whatever was on the wire. */
+static bool is_padding_zero(void)
+{
+    bool zero = true;
+
+    for (size_t i = 0; i < driven.frame_count; i++) {
+        const canser_frame *f = &driven.frames[i];
+        zero &= f->ext <= 1 && f->rtr <= 1 && f->err <= 1 && f->dlc <= 8;
+        for (int k = f->rtr ? 0 : f->dlc; k < 8; k++)
+            zero &= f->data[k] == 0;
+    }
+    for (size_t i = 0; i < driven.control_count && !driven.no_controls; i++) {
+        const canser_control *c = &driven.controls[i];
+        for (size_t k = c->len; k < sizeof c->bytes; k++)
+            zero &= c->bytes[k] == 0;
+    }
+    return zero;
+}
+
+/* Decode the stream in two pieces, the first one of `first` bytes. */
+static void check_decode(const uint8_t *stream, size_t len, size_t first)
+{
+    drive_begin(&driven, now.protocol, 1000);
+    drive_feed(&driven, stream, first, now.frame_cap, now.control_cap);
+    if (first < len)
+        drive_feed(&driven, stream + first, len - first, now.frame_cap, now.control_cap);
+
+    const char *what = drive_compare(&driven, &open_stream);
+    check(!what, what);
+    drive_flush(&driven, now.frame_cap, now.control_cap);
+    what = drive_compare(&driven, &ended_stream);
+    check(!what, what);
+    check(is_padding_zero(), "padding is not zero");
+}
+
+static void check_stream(const uint8_t *stream, size_t len)
+{
+    plain_begin(&open_stream, now.protocol, 1000);
+    plain_scan(&open_stream, stream, len, false);
+    plain_begin(&ended_stream, now.protocol, 1000);
+    plain_scan(&ended_stream, stream, len, true);
+
+    /* Room for all and a row more, for all, one row less, 2, and 1; where that
+     * is none, or more than enough, room for all and a row more. */
+    const size_t frames = ended_stream.frame_count, controls = ended_stream.control_count;
+    const size_t frame_caps[] = {frames + 1, frames, frames - 1, 2, 1};
+    const size_t control_caps[] = {controls + 1, controls, controls - 1, 1, 2};
+
+    now.len = len;
+    for (int side = 0; side < 2; side++) {
+        now.at_end = side;
+        for (size_t i = 0; i < sizeof frame_caps / sizeof *frame_caps; i++) {
+            now.frame_cap = frame_caps[i] - 1 < frames ? frame_caps[i] : frames + 1;
+            now.control_cap = control_caps[i] - 1 < controls ? control_caps[i] : controls + 1;
+            for (now.shift = 0; now.shift <= (i == 0 ? SHIFT_MAX : 0); now.shift++)
+                check_decode(stream, len, len);
+            now.shift = random_below(SHIFT_MAX + 1);
+            driven.no_offsets = random_below(4) == 0;
+            driven.no_controls = random_below(4) == 0;
+            check_decode(stream, len, random_below(len + 1));
+            driven.no_offsets = driven.no_controls = false;
+        }
+    }
+}
+
+static void test_decode(void)
+{
+    uint8_t stream[LEN_MAX];
+
+    now.part = "decode";
+    for (now.protocol = 0; now.protocol < PLAIN_PROTOCOL_COUNT; now.protocol++) {
+        for (now.kind = 0; now.kind < KIND_COUNT; now.kind++) {
+            for (size_t len = 0; len <= LEN_MAX; len++) {
+                make_stream(now.protocol, now.kind, stream, len);
+                check_stream(stream, len);
+            }
+        }
+    }
+}
+
+/* Encode into `cap` bytes, and say what must come of it: frames up to the first
+ * that does not fit or is refused. */
+static void check_encode(const canser_frame *frames, size_t count, int64_t tick_ns, size_t cap)
+{
+    const size_t frames_size = count * sizeof *frames;
+    uint8_t expected[FRAMES_MAX * CANSER_PACKET_MAX];
+    canser_encoded result = {SIZE_MAX, SIZE_MAX, -1};
+    size_t expected_count = 0, expected_len = 0;
+    int refusal = CANSER_REFUSAL_NONE;
+
+    for (; expected_count < count; expected_count++) {
+        uint8_t packet[CANSER_PACKET_MAX];
+        const size_t len =
+            plain_encode(now.protocol, tick_ns, &frames[expected_count], packet, &refusal);
+        if (refusal != CANSER_REFUSAL_NONE || len > cap - expected_len)
+            break;
+        memcpy(expected + expected_len, packet, len);
+        expected_len += len;
+    }
+
+    canser_frame *const in = place(DRIVE_FRAMES, frames_size);
+    uint8_t *const out = place(DRIVE_INPUT, cap);
+    memcpy(in, frames, frames_size);
+    const int status = canser_encode(canser_protocol_at((size_t)now.protocol), tick_ns, in, count,
+                                     out, cap, &result);
+
+    check(status == (refusal ? CANSER_REFUSED : CANSER_OK), "the status of encode differs");
+    check(result.refusal == refusal, "the refusal differs");
+    check(result.frame_count == expected_count, "the number of frames encoded differs");
+    check(result.byte_count == expected_len, "the number of bytes encoded differs");
+    if (result.byte_count == expected_len)
+        check(memcmp(out, expected, expected_len) == 0, "the bytes encoded differ");
+    check(memcmp(in, frames, frames_size) == 0, "the frames were written to");
+    drop(DRIVE_FRAMES, in, frames_size);
+    drop(DRIVE_INPUT, out, cap);
+}
+
+/* A frame that is wrong in one way. Returns false if the protocol carries it. */
+static bool spoil(int protocol, int refusal, canser_frame *f)
+{
+    switch (refusal) {
+    case CANSER_REFUSAL_DLC:
+        f->dlc = (uint8_t)(9 + random_below(247));
+        return true;
+    case CANSER_REFUSAL_ID:
+        f->ext = 0;
+        f->id = 0x800 + (uint32_t)random_below(0x1000);
+        return true;
+    case CANSER_REFUSAL_ID_EXT:
+        f->ext = 1;
+        f->id = 0x20000000 + (uint32_t)random_below(0xE0000000);
+        return protocol != PLAIN_CANTALOPE;
+    case CANSER_REFUSAL_EXT:
+        f->ext = 1;
+        return protocol == PLAIN_CANTALOPE;
+    case CANSER_REFUSAL_ERR:
+        f->err = 1;
+        return protocol != PLAIN_SERIAL;
+    default:
+        f->ts = CANSER_NO_TIME;
+        return protocol == PLAIN_SERIAL;
+    }
+}
+
+static void test_encode(void)
+{
+    static const int64_t ticks[] = {1, 7, 1000, 1000000, 1000000000};
+    canser_frame frames[FRAMES_MAX];
+
+    now.part = "encode";
+    for (now.protocol = 0; now.protocol < PLAIN_PROTOCOL_COUNT; now.protocol++) {
+        for (size_t round = 0; round < 4 * FRAMES_MAX; round++) {
+            const size_t count = round % (FRAMES_MAX + 1);
+            const int64_t tick_ns = ticks[random_below(5)];
+            const int refusal = (int)random_below(CANSER_REFUSAL_COUNT);
+
+            for (size_t i = 0; i < count; i++)
+                frames[i] = random_frame(now.protocol);
+            now.kind = CANSER_REFUSAL_NONE;
+            if (count && refusal != CANSER_REFUSAL_NONE) {
+                canser_frame bad = random_frame(now.protocol);
+                if (spoil(now.protocol, refusal, &bad)) {
+                    frames[random_below(count)] = bad;
+                    now.kind = refusal;
+                }
+            }
+            now.frame_cap = count;
+            for (int side = 0; side < 2; side++) {
+                now.at_end = side;
+                for (size_t cap = 0; cap <= count * CANSER_PACKET_MAX; cap++) {
+                    now.len = cap;
+                    now.shift = side ? 0 : cap % (SHIFT_MAX + 1);
+                    check_encode(frames, count, tick_ns, cap);
+                }
+            }
+            now.shift = 0;
+        }
+    }
+}
+
+/* The refusals one by one, each at its own index. */
+static void test_refusals(void)
+{
+    now.part = "refusals";
+    for (now.protocol = 0; now.protocol < PLAIN_PROTOCOL_COUNT; now.protocol++) {
+        for (int refusal = 1; refusal < CANSER_REFUSAL_COUNT; refusal++) {
+            canser_frame frames[FRAMES_MAX];
+            const size_t index = (size_t)refusal;
+            canser_frame bad = random_frame(now.protocol);
+            if (!spoil(now.protocol, refusal, &bad))
+                continue;
+
+            uint8_t out[FRAMES_MAX * CANSER_PACKET_MAX];
+            canser_encoded result;
+            for (size_t i = 0; i < FRAMES_MAX; i++)
+                frames[i] = random_frame(now.protocol);
+            frames[index] = bad;
+            now.kind = refusal;
+            check(canser_encode(canser_protocol_at((size_t)now.protocol), 1000, frames, FRAMES_MAX,
+                                out, sizeof out, &result) == CANSER_REFUSED,
+                  "a frame that cannot be carried is not refused");
+            check(result.refusal == refusal, "a frame is refused for another reason");
+            check(result.frame_count == index, "another frame is refused");
+        }
+    }
+}
+
+/* A decoder in the middle of a stream, and arrays to fill. */
+typedef struct {
+    canser_decoder decoder, before;
+    canser_batch batch;
+    size_t used;
+    union {
+        canser_frame frames[4];
+        uint8_t bytes[4 * sizeof(canser_frame)];
+    } memory;
+    int64_t offsets[4];
+    canser_control controls[4];
+    uint8_t data[64];
+} bench;
+
+/* Two bytes are held, and the clean stream goes on at data[2]. */
+static void set_bench(bench *b)
+{
+    memset(b, UINT8_MAX, sizeof *b);
+    make_stream(now.protocol, KIND_CLEAN, b->data, sizeof b->data);
+    /* A start that needs more bytes, whatever the random frames were. */
+    b->data[0] = now.protocol == PLAIN_CANTALOPE ? 0xFF : 0xAA;
+    canser_decoder_init(&b->decoder, canser_protocol_at((size_t)now.protocol), 1000);
+    b->batch = (canser_batch){.frames = b->memory.frames,
+                              .frame_cap = 4,
+                              .offsets = b->offsets,
+                              .controls = b->controls,
+                              .control_cap = 4,
+                              .frame_count = SIZE_MAX,
+                              .control_count = SIZE_MAX};
+    canser_decoder_feed(&b->decoder, b->data, 1, &b->batch, &b->used);
+    check(b->decoder.carry_len == 1, "a marker is not held");
+    b->batch.frame_count = b->batch.control_count = b->used = SIZE_MAX;
+    memcpy(&b->before, &b->decoder, sizeof b->before); /* with its padding */
+}
+
+/* A call on the bench that must be refused, and leave all as it was. */
+static void check_refused(bench *b, int expected, const uint8_t *data, size_t len, const char *what)
+{
+    const canser_batch batch = b->batch;
+    const bench before = *b;
+
+    now.part = what;
+    check(canser_decoder_feed(&b->decoder, data, len, &b->batch, &b->used) == expected,
+          "feed returns another status");
+    check(b->used == 0, "*used is not set");
+    check(b->batch.frame_count == 0 && b->batch.control_count == 0, "the counts are not set");
+    check(memcmp(&b->decoder, &b->before, sizeof b->decoder) == 0, "the decoder has changed");
+    check(memcmp(&b->memory, &before.memory, sizeof b->memory) == 0 &&
+              memcmp(b->offsets, before.offsets, sizeof b->offsets) == 0 &&
+              memcmp(b->controls, before.controls, sizeof b->controls) == 0,
+          "an array has changed");
+    b->batch = batch;
+}
+
+/* The same for a batch that is wrong whatever the input. */
+static void check_batch_refused(bench *b, int expected, const char *what)
+{
+    check_refused(b, expected, b->data, sizeof b->data, what);
+    check(canser_decoder_flush(&b->decoder, &b->batch) == expected, "flush returns another status");
+    check(b->batch.frame_count == 0 && b->batch.control_count == 0,
+          "the counts are not set by flush");
+    check(memcmp(&b->decoder, &b->before, sizeof b->decoder) == 0,
+          "the decoder has changed in flush");
+    set_bench(b);
+}
+
+static void *behind(void *p, size_t distance)
+{
+    return (uint8_t *)p + distance;
+}
+
+static void test_batch_arguments(bench *b)
+{
+    b->batch.frames = NULL;
+    check_batch_refused(b, CANSER_NULL, "frames NULL");
+
+    b->batch.frames = behind(b->memory.frames, 1);
+    b->batch.frame_cap = 2;
+    check_batch_refused(b, CANSER_MISALIGNED, "frames misaligned");
+    b->batch.offsets = behind(b->offsets, 1);
+    check_batch_refused(b, CANSER_MISALIGNED, "offsets misaligned");
+    b->batch.controls = behind(b->controls, 1);
+    b->batch.control_cap = 2;
+    check_batch_refused(b, CANSER_MISALIGNED, "controls misaligned");
+
+    b->batch.offsets = behind(b->memory.frames, sizeof b->memory - 8);
+    check_batch_refused(b, CANSER_OVERLAP, "offsets on frames");
+    b->batch.controls = behind(b->memory.frames, sizeof b->memory - 8);
+    check_batch_refused(b, CANSER_OVERLAP, "controls on frames");
+    b->batch.controls = behind(b->offsets, 24);
+    check_batch_refused(b, CANSER_OVERLAP, "controls on offsets");
+}
+
+static void test_input_arguments(bench *b)
+{
+    check_refused(b, CANSER_NULL, NULL, 1, "data NULL");
+    check_refused(b, CANSER_OVERLAP, behind(b->memory.bytes, sizeof b->memory - 1), 1,
+                  "data on frames");
+    check_refused(b, CANSER_OVERLAP, behind(b->offsets, 0), 1, "data on offsets");
+    check_refused(b, CANSER_OVERLAP, behind(b->controls, 5), 3, "data on controls");
+
+    now.part = "self, batch or used NULL";
+    b->used = SIZE_MAX;
+    check(canser_decoder_feed(NULL, b->data, 1, &b->batch, &b->used) == CANSER_NULL, "self");
+    check(b->used == 0 && b->batch.frame_count == 0 && b->batch.control_count == 0,
+          "the results are not set where self is NULL");
+    b->used = SIZE_MAX;
+    check(canser_decoder_feed(&b->decoder, b->data, 1, NULL, &b->used) == CANSER_NULL, "batch");
+    check(b->used == 0, "*used is not set where batch is NULL");
+    b->batch.frame_count = b->batch.control_count = SIZE_MAX;
+    check(canser_decoder_feed(&b->decoder, b->data, 1, &b->batch, NULL) == CANSER_NULL, "used");
+    check(b->batch.frame_count == 0 && b->batch.control_count == 0,
+          "the counts are not set where used is NULL");
+    b->batch.frame_count = b->batch.control_count = SIZE_MAX;
+    check(canser_decoder_flush(NULL, &b->batch) == CANSER_NULL, "flush: self");
+    check(b->batch.frame_count == 0 && b->batch.control_count == 0,
+          "the counts are not set by flush where self is NULL");
+    check(canser_decoder_flush(&b->decoder, NULL) == CANSER_NULL, "flush: batch");
+    check(memcmp(&b->decoder, &b->before, sizeof b->decoder) == 0, "the decoder has changed");
+    check(canser_decoder_init(NULL, b->decoder.protocol, 1) == CANSER_NULL, "init: self");
+    check(canser_decoder_init(&b->decoder, NULL, 1) == CANSER_NULL, "init: protocol");
+    set_bench(b);
+}
+
+/* What looks like a mistake and is none. */
+static void test_good_arguments(bench *b)
+{
+    now.part = "no bytes";
+    check(canser_decoder_feed(&b->decoder, NULL, 0, &b->batch, &b->used) == CANSER_OK, "status");
+    check(b->used == 0 && b->batch.frame_count == 0 && b->batch.control_count == 0, "results");
+    check(memcmp(&b->decoder, &b->before, sizeof b->decoder) == 0, "the decoder has changed");
+
+    now.part = "frame_cap 0";
+    for (int i = 0; i < 2; i++) {
+        set_bench(b);
+        b->batch.frame_cap = 0;
+        b->batch.frames = i ? NULL : b->batch.frames;
+        check(canser_decoder_feed(&b->decoder, b->data, 64, &b->batch, &b->used) == CANSER_OK,
+              "status");
+        check(b->used == 0 && b->batch.frame_count == 0 && b->batch.control_count == 0, "results");
+        check(canser_decoder_flush(&b->decoder, &b->batch) == CANSER_OK, "flush: status");
+        check(b->batch.frame_count == 0 && b->batch.control_count == 0, "flush: results");
+        check(memcmp(&b->decoder, &b->before, sizeof b->decoder) == 0, "something was taken");
+    }
+
+    /* Arrays that touch do not overlap. */
+    now.part = "arrays that touch";
+    static union {
+        canser_control aligned;
+        uint8_t bytes[4 * (sizeof(canser_frame) + sizeof(int64_t) + sizeof(canser_control)) + 64];
+    } all;
+    set_bench(b);
+    b->batch.frames = behind(&all, 0);
+    b->batch.offsets = behind(&all, 4 * sizeof(canser_frame));
+    b->batch.controls = behind(&all, 4 * (sizeof(canser_frame) + sizeof(int64_t)));
+    check(canser_decoder_feed(&b->decoder, all.bytes + sizeof all - 64, 64, &b->batch, &b->used) ==
+              CANSER_OK,
+          "status");
+    set_bench(b);
+}
+
+/* A control packet that has no room is not lost: the scan waits before it. */
+static void test_full_controls(void)
+{
+    static const uint8_t pings[] = {0xFF, 0xFF, 0x00, 0xFF, 0xFF, 0x00, 0x12, 0x30};
+    canser_decoder decoder;
+    canser_frame frame;
+    canser_control control;
+    canser_batch batch = {.frames = &frame, .frame_cap = 1, .controls = &control};
+    size_t used = 0;
+
+    now.part = "control_cap 0";
+    now.protocol = PLAIN_CANTALOPE;
+    canser_decoder_init(&decoder, canser_protocol_at(PLAIN_CANTALOPE), 1);
+    check(canser_decoder_feed(&decoder, pings, sizeof pings, &batch, &used) == CANSER_OK, "status");
+    check(used == 0 && batch.control_count == 0 && batch.frame_count == 0, "something was taken");
+    for (size_t i = 0; i < 2; i++) {
+        batch.control_cap = 1;
+        check(canser_decoder_feed(&decoder, pings + 3 * i, sizeof pings - 3 * i, &batch, &used) ==
+                  CANSER_OK,
+              "status");
+        check(batch.control_count == 1 && control.offset == 3 * i && control.len == 3,
+              "the control packet is lost");
+        check(used == (i ? 5 : 3) && batch.frame_count == i, "the scan does not stop before it");
+    }
+
+    now.part = "controls NULL";
+    batch.controls = NULL;
+    canser_decoder_init(&decoder, canser_protocol_at(PLAIN_CANTALOPE), 1);
+    check(canser_decoder_feed(&decoder, pings, sizeof pings, &batch, &used) == CANSER_OK, "status");
+    check(used == sizeof pings && batch.control_count == 0 && batch.frame_count == 1,
+          "the scan waits where control packets are not asked for");
+    check(decoder.stats.controls == 2, "control packets are not counted");
+}
+
+static void test_encode_arguments(void)
+{
+    const canser_protocol *const protocol = canser_protocol_at((size_t)now.protocol);
+    canser_frame frames[3];
+    uint8_t out[3 * CANSER_PACKET_MAX];
+    canser_encoded result;
+
+    memset(out, 0x5A, sizeof out);
+    for (size_t i = 0; i < 2; i++)
+        frames[i] = random_frame(now.protocol);
+
+    const struct {
+        const char *what;
+        int status;
+        const canser_protocol *protocol;
+        const canser_frame *frames;
+        size_t frame_count;
+        uint8_t *out;
+        size_t out_cap;
+    } calls[] = {
+        {"encode: protocol NULL", CANSER_NULL, NULL, frames, 2, out, sizeof out},
+        {"encode: frames NULL", CANSER_NULL, protocol, NULL, 1, out, sizeof out},
+        {"encode: out NULL", CANSER_NULL, protocol, frames, 2, NULL, 1},
+        {"encode: misaligned", CANSER_MISALIGNED, protocol, behind(frames, 1), 2, out, sizeof out},
+        {"encode: out on frames", CANSER_OVERLAP, protocol, frames, 2, behind(frames, 47), 20},
+        {"encode: frames on out", CANSER_OVERLAP, protocol, frames + 1, 2, behind(frames, 0), 25},
+        {"encode: no frames", CANSER_OK, protocol, NULL, 0, out, sizeof out},
+        {"encode: no room", CANSER_OK, protocol, frames, 2, NULL, 0},
+    };
+    for (size_t i = 0; i < sizeof calls / sizeof *calls; i++) {
+        now.part = calls[i].what;
+        result = (canser_encoded){SIZE_MAX, SIZE_MAX, -1};
+        check(canser_encode(calls[i].protocol, 1000, calls[i].frames, calls[i].frame_count,
+                            calls[i].out, calls[i].out_cap, &result) == calls[i].status,
+              "another status");
+        check(result.frame_count == 0 && result.byte_count == 0 &&
+                  result.refusal == CANSER_REFUSAL_NONE,
+              "the results are not set");
+        check(is_filled(out, out + sizeof out, 0x5A), "out was written");
+    }
+    now.part = "encode: result NULL";
+    check(canser_encode(protocol, 1000, frames, 2, out, sizeof out, NULL) == CANSER_NULL,
+          "another status");
+    check(is_filled(out, out + sizeof out, 0x5A), "out was written");
+
+    now.part = "encode: out that touches";
+    check(canser_encode(protocol, 1000, frames, 2, behind(frames, 48), 20, &result) == CANSER_OK,
+          "another status");
+}
+
+/* The names and the numbers that the header promises. */
+static void test_tables(void)
+{
+    now.part = "tables";
+    for (now.protocol = 0; now.protocol < PLAIN_PROTOCOL_COUNT; now.protocol++) {
+        const canser_protocol *const p = canser_protocol_at((size_t)now.protocol);
+        size_t len_min = SIZE_MAX, len_max = 0;
+
+        check(p && strcmp(p->name, plain_name(now.protocol)) == 0, "another name");
+        check(p && p->has_clock == (now.protocol == PLAIN_SERIAL), "has_clock");
+        for (int i = 0; i < 10000; i++) {
+            const canser_frame f = random_frame(now.protocol);
+            uint8_t packet[CANSER_PACKET_MAX];
+            int refusal;
+            const size_t len = plain_encode(now.protocol, 1, &f, packet, &refusal);
+            len_min = len < len_min ? len : len_min;
+            len_max = len > len_max ? len : len_max;
+        }
+        check(p && p->frame_min == len_min, "frame_min");
+        check(p && p->frame_max == len_max, "frame_max");
+    }
+    check(!canser_protocol_at(PLAIN_PROTOCOL_COUNT) && !canser_protocol_at(SIZE_MAX),
+          "there is a protocol past the last");
+    now.protocol = 0;
+
+    for (int i = 0; i < CANSER_REJECT_COUNT; i++) {
+        const char *const name = canser_reject_name(i);
+        check(name && *name && strspn(name, "abcdefghijklmnopqrstuvwxyz") == strlen(name),
+              "the name of a reject is not one lower-case word");
+    }
+    check(!canser_reject_name(-1) && !canser_reject_name(CANSER_REJECT_COUNT),
+          "there is a reject past the last");
+    for (int i = 0; i < CANSER_REFUSAL_COUNT; i++)
+        check(canser_refusal_text(i), "a refusal has no text");
+    check(!canser_refusal_text(-1) && !canser_refusal_text(CANSER_REFUSAL_COUNT),
+          "there is a refusal past the last");
+}
+
+static void test_arguments(void)
+{
+    static bench b;
+
+    now.kind = 0;
+    now.len = now.shift = now.frame_cap = now.control_cap = 0;
+    for (now.protocol = 0; now.protocol < PLAIN_PROTOCOL_COUNT; now.protocol++) {
+        now.part = "bench";
+        set_bench(&b);
+        test_batch_arguments(&b);
+        test_input_arguments(&b);
+        test_good_arguments(&b);
+        test_encode_arguments();
+    }
+    test_full_controls();
+    test_tables();
+}
+
+/* The chunk that is mapped again and again, and how often: over 4 GiB. */
+enum { CHUNK = 1 << 26, CHUNK_COUNT = 66 };
+
+/* A region of zeros that takes the memory of a few chunks: one file's pages,
+ * over and over, and private ones where frames are to be written. */
+static uint8_t *map_huge(void)
+{
+    FILE *const file = tmpfile();
+    uint8_t *const region =
+        mmap(NULL, (size_t)CHUNK * CHUNK_COUNT, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+
+    if (!file || ftruncate(fileno(file), CHUNK) || region == MAP_FAILED)
+        return NULL;
+    for (size_t i = 0; i < CHUNK_COUNT; i++) {
+        /* Frames lie around 2 GiB, around 4 GiB and at the end. */
+        const bool is_private = i == 31 || i == 32 || i >= 63;
+        if (mmap(region + i * CHUNK, CHUNK, is_private ? PROT_READ | PROT_WRITE : PROT_READ,
+                 (is_private ? MAP_PRIVATE : MAP_SHARED) | MAP_FIXED, fileno(file),
+                 0) == MAP_FAILED)
+            return NULL;
+    }
+    return region;
+}
+
+/* More than 4 GiB in one call: every length and every offset is a size_t or 64
+ * bits wide all the way. One protocol will do: the loops that count are one
+ * source for all, and zeros are noise to this one. */
+static void test_huge(void)
+{
+    const uint64_t size = (uint64_t)CHUNK * CHUNK_COUNT;
+    const uint64_t places[] = {
+        (UINT64_C(1) << 31) - 3, /* across 2 GiB */
+        (UINT64_C(1) << 32) - 4, /* across 4 GiB */
+        (UINT64_C(1) << 32) + 100,
+        size - 60,
+    };
+    enum { PLACES = sizeof places / sizeof *places };
+    const canser_frame sent = {.id = 0x123, .dlc = 8, .data = {1, 2, 3, 4, 5, 6, 7, 8}};
+    uint8_t packet[CANSER_PACKET_MAX];
+    canser_frame frames[PLACES + 1];
+    int64_t offsets[PLACES + 1];
+    canser_batch batch = {.frames = frames, .frame_cap = PLACES + 1, .offsets = offsets};
+    canser_decoder decoder;
+    size_t used = 0;
+    int refusal;
+
+    uint8_t *const region = map_huge();
+    if (!region) {
+        perror("guard: mmap");
+        exit(2);
+    }
+    now.part = "huge";
+    now.protocol = PLAIN_SERIAL;
+    const size_t len = plain_encode(PLAIN_SERIAL, 1000, &sent, packet, &refusal);
+    for (size_t i = 0; i < PLACES; i++)
+        memcpy(region + places[i], packet, len);
+    /* The last bytes are the first ones of one more frame. */
+    memcpy(region + size - 7, packet, 7);
+
+    canser_decoder_init(&decoder, canser_protocol_at(PLAIN_SERIAL), 1000);
+    check(canser_decoder_feed(&decoder, region, (size_t)size, &batch, &used) == CANSER_OK,
+          "status");
+    check(used == size, "not all is taken");
+    check(batch.frame_count == PLACES, "the number of frames differs");
+    for (size_t i = 0; i < PLACES && i < batch.frame_count; i++) {
+        check((uint64_t)offsets[i] == places[i], "an offset differs");
+        check(memcmp(&frames[i], &sent, sizeof sent) == 0, "a frame differs");
+    }
+    check(decoder.carry_len == 7, "the start of a frame is not held");
+    check(decoder.stats.bytes_in == size, "bytes_in differs");
+    check(decoder.stats.bytes_framed == PLACES * len, "bytes_framed differs");
+    check(decoder.stats.bytes_skipped == size - PLACES * len - 7, "bytes_skipped differs");
+    check(decoder.stats.rejects[CANSER_REJECT_MARKER] == decoder.stats.bytes_skipped,
+          "the rejects differ");
+    check(decoder.stats.resyncs == PLACES + 1, "resyncs differs");
+
+    /* The stream goes on, and offsets are still those of the whole stream. */
+    check(canser_decoder_feed(&decoder, packet + 7, len - 7, &batch, &used) == CANSER_OK, "status");
+    check(batch.frame_count == 1 && (uint64_t)offsets[0] == size - 7,
+          "the offset of a frame across two calls differs");
+}
+
+int main(int argc, char **argv)
+{
+    const bool huge = argc > 1 && strcmp(argv[1], "--huge") == 0;
+
+    if (argc > 2 || (argc == 2 && !huge)) {
+        fprintf(stderr, "usage: guard [--huge]\n");
+        return 2;
+    }
+    set_up();
+    catch_faults();
+    if (huge && sizeof(size_t) < sizeof(uint64_t)) {
+        printf("skipped: an address space of 32 bits has no 4 GiB\n");
+    } else if (huge) {
+        test_huge();
+    } else {
+        test_decode();
+        test_encode();
+        test_refusals();
+        test_arguments();
+    }
+    printf("%llu passed, %llu failed\n", passed, failed);
+    return failed > 0;
+}

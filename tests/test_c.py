@@ -1,0 +1,119 @@
+"""What is tested in C: every short string, guard pages around all memory, the fuzz target.
+
+Each program is built twice: with sanitizers, where the compiler has them, and optimised.
+"""
+
+import os
+import random
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import vectors
+
+HERE = Path(__file__).parent
+SOURCES = sorted((HERE.parent / "csrc").glob("*.c"))
+SHARED = [HERE / "c" / "plain.c", HERE / "c" / "drive.c"]
+
+COMPILER = shlex.split(os.environ.get("CC") or "cc")
+
+FAST = ["-O2"]
+DEBUG = ["-g", "-O1"]
+SANITIZED = [*DEBUG, "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+
+# Strings of each set and length under sanitizers: seconds, not minutes.
+SHORT = "500"
+
+pytestmark = [
+    pytest.mark.skipif(sys.platform == "win32", reason="guard pages are made with POSIX calls"),
+    pytest.mark.skipif(not shutil.which(COMPILER[0]), reason=f"no C compiler {COMPILER[0]!r}"),
+]
+
+
+def run(*command: str | Path) -> str:
+    """Run a command to its end; return what it prints, and show it where it fails."""
+    done = subprocess.run(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+    )
+    assert done.returncode == 0, f"{shlex.join(map(str, command))}\n{done.stdout}"
+    return done.stdout
+
+
+def build(program: Path, *arguments: str | Path) -> Path:
+    run(*COMPILER, "-std=c11", *arguments, "-o", program)
+    return program
+
+
+def build_test(folder: Path, name: str, *flags: str) -> Path:
+    sources = [HERE / "c" / f"{name}.c", *SHARED, *SOURCES]
+    return build(folder / name, *flags, f"-I{SOURCES[0].parent}", *sources)
+
+
+def assert_all_pass(output: str) -> None:
+    """Assert that the closing line counts checks that passed, and none that failed."""
+    closing = re.fullmatch(r"(\d+) passed, (\d+) failed", output.splitlines()[-1])
+    assert closing, output
+    assert int(closing[1]) > 0, output
+    assert int(closing[2]) == 0, output
+
+
+@pytest.fixture(scope="module")
+def debug_flags(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Return the sanitizers, if a program that is built with them runs, or none."""
+    folder = tmp_path_factory.mktemp("trial")
+    source = folder / "trial.c"
+    source.write_text("int main(void) { return 0; }\n", encoding="utf-8")
+    try:
+        run(build(folder / "trial", *SANITIZED, source))
+    except AssertionError:
+        return DEBUG
+    return SANITIZED
+
+
+def test_every_short_string(tmp_path: Path) -> None:
+    assert_all_pass(run(build_test(tmp_path, "cases", *FAST)))
+
+
+def test_short_strings_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    assert_all_pass(run(build_test(tmp_path, "cases", *debug_flags), SHORT))
+
+
+def test_guard_pages(tmp_path: Path) -> None:
+    assert_all_pass(run(build_test(tmp_path, "guard", *FAST)))
+
+
+def test_guard_pages_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    assert_all_pass(run(build_test(tmp_path, "guard", *debug_flags)))
+
+
+def test_more_than_4_gib(tmp_path: Path) -> None:
+    # It says so where the address space is too small.
+    output = run(build_test(tmp_path, "guard", *FAST), "--huge")
+    if "skipped" in output:
+        pytest.skip(output)
+    assert_all_pass(output)
+
+
+def test_fuzz_target(tmp_path: Path, debug_flags: list[str]) -> None:
+    """Not a search, which is the fuzzer's work: the target builds, runs, and finds nothing."""
+    chance = random.Random(1)
+    names = ["cantalope", "seeed", "serial"]
+    inputs = []
+    for index, vector in enumerate(vectors.load_all()):
+        for copy in range(4):
+            # The options choose the protocol by their remainder; then tick and capacities.
+            options = names.index(vector.protocol) + 3 * chance.randrange(84)
+            pieces = chance.randbytes(chance.randrange(16))
+            head = bytes([options, *chance.choices((0, 1, 7, 255), k=3), len(pieces)]) + pieces
+            stream = bytearray(vector.stream * 3)
+            for _ in range(copy if stream else 0):
+                stream[chance.randrange(len(stream))] = chance.choice(stream)
+            inputs.append(tmp_path / f"{index}-{copy}")
+            inputs[-1].write_bytes(head + stream)
+    program = build_test(tmp_path, "fuzz", *debug_flags, "-DFUZZ_MAIN")
+    assert_all_pass(run(program, *inputs))
