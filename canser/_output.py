@@ -3,6 +3,7 @@
 import contextlib
 import os
 import secrets
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -57,6 +58,8 @@ def whole_file(path: str, *, force: bool) -> Iterator[BinaryIO]:
         with opened as file:
             yield file
             file.flush()
+        if target.exists():
+            shutil.copymode(target, partial)
         _check_free(target, path, force=force)
         partial.replace(target)
     except BaseException:

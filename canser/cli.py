@@ -206,9 +206,9 @@ def _convert(args: argparse.Namespace) -> int:
     if stats is not None:
         say(report.conservation(stats))
         if stats.bytes_skipped:
-            say(f"skipped in {stats.resyncs:,} places: {report.reject_text(stats)}")
+            say(f"skipped: {report.reject_text(stats)}; resyncs: {stats.resyncs:,}")
         if stats.controls:
-            say(f"{stats.controls:,} control packets, which are no frames, are not in the output")
+            say(f"control packets, not in the output as they are no frames: {stats.controls:,}")
     if target_format == RAW:
         say(f"{done.frames:,} frames = {done.bytes_out:,} bytes out")
     for remark in done.remarks:

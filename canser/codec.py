@@ -332,7 +332,7 @@ def encode(
 
     `frames`: array of FRAME_DTYPE, shape (n,), contiguous. Returns the bytes; or
     `out[:n]` where `out`, an array of uint8, is given (20 bytes a frame are always
-    enough). Data past the dlc and the data of remote frames are not sent. A protocol
+    enough; what lies past the n bytes may be written over). Data past the dlc and the data of remote frames are not sent. A protocol
     with a clock sends `ts` in ticks of `ts_unit`, rounded down, modulo 2**32 as a
     device's counter wraps; the others send no time.
 

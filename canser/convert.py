@@ -49,9 +49,9 @@ def convert(
     writer.finish()
     if isinstance(writer, candump.Writer):
         if writer.ts_unknown:
-            done.remarks.append(f"{writer.ts_unknown:,} frames have no time; written as 0")
+            done.remarks.append(f"frames without a time, written as 0: {writer.ts_unknown:,}")
         if writer.ts_cut:
-            done.remarks.append(f"{writer.ts_cut:,} times were cut to the microsecond")
+            done.remarks.append(f"times cut to the microsecond: {writer.ts_cut:,}")
     return done
 
 

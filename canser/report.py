@@ -72,9 +72,7 @@ def _time_text(clock: Clock) -> str:
     if clock.span_ns is None:
         return "not known: there are no times in it"
     if clock.backward:
-        return (
-            f"{clock.span_ns / 1e9:,.3f} s without the {clock.jumps:,} places where the clock jumps"
-        )
+        return f"{clock.span_ns / 1e9:,.3f} s without the jumps of the clock ({clock.jumps:,})"
     return f"{clock.span_ns / 1e9:,.3f} s, from {_seconds(clock.first)} to {_seconds(clock.last)}"
 
 
@@ -92,7 +90,7 @@ def _stats_lines(stats: Stats, controls: list[Control]) -> Iterator[str]:
     if stats.bytes_skipped:
         yield f"skipped    {reject_text(stats)}"
     if stats.ts_wraps or stats.ts_backsteps:
-        yield f"clock      {stats.ts_wraps:,} wraps, {stats.ts_backsteps:,} steps back"
+        yield f"clock      wraps {stats.ts_wraps:,}, steps back {stats.ts_backsteps:,}"
     yield f"controls   {stats.controls:,}"
     for control in controls[:4]:
         yield f"           at {control.offset:,}: {control.data.hex(' ').upper()}"

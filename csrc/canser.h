@@ -197,11 +197,12 @@ int canser_decoder_flush(canser_decoder *self, canser_batch *batch);
  * frame are always enough. Payload past the dlc and the data of a remote frame
  * are not sent. The time goes out in ticks of `tick_ns`, rounded down, modulo
  * 2^32 as a device's counter wraps; a protocol without a clock sends none.
+ * Bytes of `out` past byte_count may have been written over.
  *
  * Returns CANSER_OK; CANSER_REFUSED at a frame the format cannot carry, with
- * its index in result->frame_count, why in result->refusal, and all frames
- * before it written; CANSER_NULL, CANSER_TICK, CANSER_MISALIGNED and
- * CANSER_OVERLAP before anything was written. */
+ * its index in result->frame_count, why in result->refusal (one of the reasons,
+ * if there are several), and all frames before it written; CANSER_NULL,
+ * CANSER_TICK, CANSER_MISALIGNED and CANSER_OVERLAP before anything was written. */
 int canser_encode(const canser_protocol *protocol, int64_t tick_ns, const canser_frame *frames,
                   size_t frame_count, uint8_t *out, size_t out_cap, canser_encoded *result);
 

@@ -110,9 +110,9 @@ def test_raw_bytes_to_a_log_say_what_became_of_every_byte(captures: Path, tmp_pa
     assert done.stderr.decode().splitlines() == [
         f"run.bin -> run.log: {count} frames",
         f"{len(raw) + 43:,} bytes = {len(raw):,} framed + 40 control + 3 skipped + 0 pending",
-        "skipped in 2 places: marker 3",
-        "2 control packets, which are no frames, are not in the output",
-        f"{count} frames have no time; written as 0",
+        "skipped: marker 3; resyncs: 2",
+        "control packets, not in the output as they are no frames: 2",
+        f"frames without a time, written as 0: {count}",
     ]
     assert len((tmp_path / "run.log").read_text().splitlines()) == len(vehicle(2))
     assert names(tmp_path) == ["run.bin", "run.log"]

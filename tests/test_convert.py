@@ -118,8 +118,8 @@ def test_a_log_remarks_the_times_that_it_cannot_hold(tmp_path: Path) -> None:
     with FrameFile(str(path), "npy") as source:
         done = convert(source, io.BytesIO(), "log")
     assert done.remarks == [
-        "2 frames have no time; written as 0",
-        "2 times were cut to the microsecond",
+        "frames without a time, written as 0: 2",
+        "times cut to the microsecond: 2",
     ]
 
 

@@ -196,3 +196,8 @@ def test_what_python_can_writes_is_read() -> None:
         Frame(0x80, err=True, ts=3 * SECOND),
         Frame(0x7FF, ts=EPOCH),
     ]
+
+
+def test_a_line_without_an_end_is_an_error_and_not_all_of_memory() -> None:
+    with pytest.raises(FormatError, match=r"line 2: has no end; is it raw bytes\?"):
+        list(candump.read(io.BytesIO(b"(0.0) can0 123#\n" + bytes(1 << 20)), "x.log"))

@@ -186,3 +186,14 @@ def test_a_pipe_that_a_shell_hands_on_is_written_in_place() -> None:
     finally:
         os.close(reading)
         os.close(writing)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="permissions of POSIX")
+def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path: Path) -> None:
+    target = tmp_path / "x.log"
+    target.write_bytes(b"old")
+    target.chmod(0o600)
+    with whole_file(str(target), force=True) as file:
+        file.write(b"new")
+    assert target.read_bytes() == b"new"
+    assert target.stat().st_mode & 0o777 == 0o600

@@ -99,7 +99,7 @@ def test_the_last_time_that_a_record_holds_is_told() -> None:
 def test_jumps_of_the_clock_are_told_and_not_counted_as_time() -> None:
     hours = 9 * 3_600 * SECOND
     lines = info(timed(hours, hours + SECOND, 0, SECOND))
-    assert named("time", lines).startswith("time       2.000 s without the 1 place")
+    assert named("time", lines).startswith("time       2.000 s without the jumps of the clock (1)")
     assert lines[0] == "frames     4, 2.0/s"
 
 
@@ -145,7 +145,7 @@ def test_wraps_and_steps_back_of_the_device_clock_are_told() -> None:
         canser.encode(timed(*(ms * MILLISECOND for ms in (2**32 - 1, 2**32, 0xFFFFFFFF))), "serial")
     )
     lines = info(frames, decoder.stats)
-    assert named("clock", lines) == "clock      1 wraps, 1 steps back"
+    assert named("clock", lines) == "clock      wraps 1, steps back 1"
 
 
 def test_a_ranking_has_a_row_for_each_protocol_the_best_first() -> None:

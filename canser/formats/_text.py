@@ -7,6 +7,7 @@ of lines a second where one format() for each frame writes half a million.
 
 import re
 from collections.abc import Iterator
+from itertools import count
 from typing import BinaryIO, Final
 
 import numpy as np
@@ -20,14 +21,17 @@ Column = npt.NDArray[np.uint8]
 _HEX: Final = np.frombuffer(b"0123456789ABCDEF", np.uint8)
 _SECOND: Final = 1_000_000_000
 
+# No frame's line is nearly so long, in bytes; what is, is no text.
+_LINE_MAX = 1 << 16
+
 # Frames that are parsed before they are handed on.
 _BLOCK = 1 << 14
 
 
-def join(count: int, *parts: bytes | Column) -> bytes:
+def join(row_count: int, *parts: bytes | Column) -> bytes:
     """Return the lines made of the parts, constant text or columns, one behind the other."""
     columns = [
-        np.broadcast_to(np.frombuffer(part, np.uint8), (count, len(part)))
+        np.broadcast_to(np.frombuffer(part, np.uint8), (row_count, len(part)))
         if isinstance(part, bytes)
         else part
         for part in parts
@@ -156,7 +160,12 @@ def in_blocks(rows: Iterator[Row]) -> Iterator[FrameArray]:
 
 def lines(file: BinaryIO, name: str) -> Iterator[tuple[int, str]]:
     """Yield the number and the text of each line that is not empty; ASCII or UTF-8."""
-    for number, raw in enumerate(file, 1):
+    for number in count(1):
+        raw = file.readline(_LINE_MAX)
+        if not raw:
+            return
+        if len(raw) == _LINE_MAX:
+            raise FormatError(f"{name}, line {number}: has no end; is it raw bytes?")
         try:
             text = raw.decode("utf-8-sig" if number == 1 else "utf-8").strip()
         except UnicodeDecodeError:

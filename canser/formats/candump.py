@@ -7,7 +7,8 @@
 
 Source: can-utils, `candump` and its library's frame notation.
 
-Times have six places: a part under a microsecond is cut, and a time that is not
+An error frame has eight digits because of its flag, so `ext` of one with an id up to
+0x7FF is not told. Times have six places: a part under a microsecond is cut, and a time that is not
 known is written as 0. `Writer` counts both.
 """
 

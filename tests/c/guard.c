@@ -628,6 +628,9 @@ static void test_input_arguments(bench *b)
     check(memcmp(&b->decoder, &b->before, sizeof b->decoder) == 0, "the decoder has changed");
     check(canser_decoder_init(NULL, b->decoder.protocol, 1) == CANSER_NULL, "init: self");
     check(canser_decoder_init(&b->decoder, NULL, 1) == CANSER_NULL, "init: protocol");
+    check(canser_decoder_init(&b->decoder, b->decoder.protocol, 0) == CANSER_TICK, "init: tick 0");
+    check(canser_decoder_init(&b->decoder, b->decoder.protocol, -1) == CANSER_TICK,
+          "init: tick below 0");
     set_bench(b);
 }
 
@@ -736,6 +739,16 @@ static void test_encode_arguments(void)
         result = (canser_encoded){SIZE_MAX, SIZE_MAX, -1};
         check(canser_encode(calls[i].protocol, 1000, calls[i].frames, calls[i].frame_count,
                             calls[i].out, calls[i].out_cap, &result) == calls[i].status,
+              "another status");
+        check(result.frame_count == 0 && result.byte_count == 0 &&
+                  result.refusal == CANSER_REFUSAL_NONE,
+              "the results are not set");
+        check(is_filled(out, out + sizeof out, 0x5A), "out was written");
+    }
+    now.part = "encode: tick below 1";
+    for (int64_t tick_ns = -1; tick_ns < 1; tick_ns++) {
+        result = (canser_encoded){SIZE_MAX, SIZE_MAX, -1};
+        check(canser_encode(protocol, tick_ns, frames, 2, out, sizeof out, &result) == CANSER_TICK,
               "another status");
         check(result.frame_count == 0 && result.byte_count == 0 &&
                   result.refusal == CANSER_REFUSAL_NONE,
