@@ -332,9 +332,11 @@ def encode(
 
     `frames`: array of FRAME_DTYPE, shape (n,), contiguous. Returns the bytes; or
     `out[:n]` where `out`, an array of uint8, is given (20 bytes a frame are always
-    enough; what lies past the n bytes may be written over). Data past the dlc and the data of remote frames are not sent. A protocol
-    with a clock sends `ts` in ticks of `ts_unit`, rounded down, modulo 2**32 as a
-    device's counter wraps; the others send no time.
+    enough; what lies past the n bytes may be written over).
+
+    Data past the dlc and the data of remote frames are not sent. A protocol with a clock
+    sends `ts` in ticks of `ts_unit`, rounded down, modulo 2**32 as a device's counter
+    wraps; the others send no time.
 
     ValueError for a frame that the format cannot carry, with its index and why: an
     id over the limit of its kind, a dlc over 8, extended frames in `cantalope`,
