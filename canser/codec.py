@@ -293,7 +293,8 @@ def decode(
     `data`: any contiguous buffer of bytes (bytes, bytearray, memoryview, mmap,
     numpy), read in place. Returns the frames, FRAME_DTYPE, shape (n,): a new array,
     or `out[:n]` where `out` is given. `offsets`: array of int64 or uint64, filled
-    with the position of each frame's first byte. `ts_unit` as for `Decoder`.
+    with the position of each frame's first byte. `ts_unit` as for `Decoder`. `threads`:
+    how many may work on it; the result is the same for any number, and so far one works.
 
     ValueError if `out` or `offsets` is too small, with the number that is needed;
     other errors as for `Decoder.feed_into`. For the counters use a `Decoder`.

@@ -6,7 +6,7 @@ from typing import BinaryIO
 
 from canser.codec import TS_UNITS, encode_blocks, has_clock
 from canser.files import RAW, FrameFile
-from canser.formats import BY_SUFFIX, candump
+from canser.formats import BY_SUFFIX
 from canser.frames import NO_TIME, FrameArray
 
 __all__ = ["Converted", "convert"]
@@ -46,12 +46,7 @@ def convert(
     for frames in source:
         writer.write(frames)
         done.frames += len(frames)
-    writer.finish()
-    if isinstance(writer, candump.Writer):
-        if writer.ts_unknown:
-            done.remarks.append(f"frames without a time, written as 0: {writer.ts_unknown:,}")
-        if writer.ts_cut:
-            done.remarks.append(f"times cut to the microsecond: {writer.ts_cut:,}")
+    done.remarks += writer.finish()
     return done
 
 

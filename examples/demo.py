@@ -48,6 +48,10 @@ def main() -> None:
             f"{len(frames) / SECONDS:9,.0f} {stats.bytes_in:11,} {stats.bytes_skipped:8,} "
             f"{stats.resyncs:8,}"
         )
+    print(
+        "\nIn cantalope nothing marks a frame's start: after a lost byte wrong frames come out"
+        "\nuntil the chain is back in step, so more are found, and more ids, than were sent."
+    )
     print(f"\nThe captures and logs are in {FOLDER}; try: canser info {FOLDER / 'seeed.bin'}")
 
 

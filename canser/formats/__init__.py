@@ -1,7 +1,8 @@
 """File formats for frames, one module each: what `canser convert` reads and writes.
 
-A format has a `read(path_or_file)` that yields arrays of FRAME_DTYPE in bounded
-memory, and a `Writer(file)` with `write(frames)` and `finish()`.
+A format has a `read(file, name)` that yields arrays of FRAME_DTYPE in bounded
+memory, and a `Writer(file)` with `write(frames)` and `finish()`, which returns remarks
+on what the file could not hold.
 """
 
 from canser.formats import candump, csv, npy

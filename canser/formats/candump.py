@@ -72,8 +72,13 @@ class Writer:
             b"\n",
         )
 
-    def finish(self) -> None:
-        """Nothing is left to write."""
+    def finish(self) -> list[str]:
+        """Return what a log could not hold."""
+        remarks = {
+            "frames without a time, written as 0": self.ts_unknown,
+            "times cut to the microsecond": self.ts_cut,
+        }
+        return [f"{what}: {count:,}" for what, count in remarks.items() if count]
 
 
 def read(file: BinaryIO, name: str) -> Iterator[FrameArray]:

@@ -49,8 +49,8 @@ class Writer:
         self._file.write(frames.view(np.uint8).data)
         self._count += len(frames)
 
-    def finish(self) -> None:
-        """Write the number of frames."""
+    def finish(self) -> list[str]:
+        """Write the number of frames; return what the file could not hold: nothing."""
         end = self._file.tell()
         self._file.seek(self._start)
         self._write_header()
@@ -59,6 +59,7 @@ class Writer:
             self._file.seek(0)
             shutil.copyfileobj(self._file, self._target, 1 << 20)
             self._file.close()
+        return []
 
 
 def read(file: BinaryIO, name: str) -> Iterator[FrameArray]:
