@@ -101,7 +101,9 @@ def _stats_lines(stats: Stats, controls: list[Control]) -> Iterator[str]:
 def _id_lines(tally: Tally) -> Iterator[str]:
     span = tally.clock.span_ns
     yield "      id     frames   share     rate/s   period ms  dlc"
-    for (arbitration_id, ext), one in sorted(tally.ids.items(), key=lambda item: item[0][::-1]):
+    # Most frequent first: what noise makes up stands at the end.
+    most_first = sorted(tally.ids.items(), key=lambda item: (-item[1].count, item[0][::-1]))
+    for (arbitration_id, ext), one in most_first:
         name = f"{arbitration_id:08X}" if ext else f"{arbitration_id:03X}"
         rate = f"{one.count / span * 1e9:10,.2f}" if span and span > 0 else f"{'-':>10}"
         period = one.clock.period_ns

@@ -168,3 +168,12 @@ def test_tables_fit_a_terminal_of_80_columns() -> None:
     lines = info(vehicle(10))
     table = lines[lines.index("") :] + list(report.fit_lines(canser.identify(STANDARD)))
     assert max(map(len, table)) <= 80
+
+
+def test_ids_stand_most_frequent_first() -> None:
+    """What noise makes up is seen once, and stands at the end."""
+    ids = (0x100, 0x7FF, 0x7FF, 0x001)
+    tally = Tally()
+    tally.add(array(*(Frame(number, ts=0) for number in ids)))
+    lines = list(report.info_lines(tally, None, []))
+    assert [line.split()[0] for line in lines[-3:]] == ["7FF", "001", "100"]
