@@ -1,5 +1,6 @@
 """Captures of raw bytes in files: read in place, of any size, in bounded memory."""
 
+import io
 import mmap
 import os
 import stat
@@ -187,6 +188,9 @@ def _read_file(
 
 def _regular_size(file: BinaryIO) -> int | None:
     """Return the size of a file that can be mapped, None for any other."""
+    # Others may have a descriptor too, and give other bytes than it: gzip's, say.
+    if not isinstance(getattr(file, "raw", file), io.FileIO):
+        return None
     try:
         status = os.fstat(file.fileno())
     except (AttributeError, OSError):  # io.UnsupportedOperation is an OSError

@@ -1,5 +1,6 @@
 """Captures in files: read and blocks, mapped and piped."""
 
+import gzip
 import io
 import mmap
 import os
@@ -147,6 +148,17 @@ def test_what_cannot_be_mapped_is_read(kind: type, tmp_path: Path) -> None:
     blocks = canser.blocks(cast(BinaryIO, kind(path.read_bytes())), "seeed")
     assert blocks.bytes_total is None
     assert np.array_equal(np.concatenate(list(blocks)), want)
+
+
+def test_a_file_that_unpacks_what_it_reads_is_read_and_not_mapped(tmp_path: Path) -> None:
+    path, want = capture_of("serial", tmp_path)
+    packed = tmp_path / "run.bin.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    with gzip.open(packed) as file:
+        blocks = canser.blocks(cast(BinaryIO, file), "serial")
+        assert np.array_equal(np.concatenate(list(blocks)), want)
+    with gzip.open(packed) as file:
+        assert np.array_equal(canser.read(cast(BinaryIO, file), "serial"), want)
 
 
 def test_frames_of_a_pipe_come_as_its_bytes_come() -> None:
