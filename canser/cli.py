@@ -201,18 +201,17 @@ def _convert(args: argparse.Namespace) -> int:
         stats = None if source.decoder is None else source.decoder.stats
         if stats is not None:
             _check_found(stats, args)
-    say = _say
-    say(f"{args.source} -> {args.target}: {done.frames:,} frames")
+    _say(f"{args.source} -> {args.target}: {done.frames:,} frames")
     if stats is not None:
-        say(report.conservation(stats))
+        _say(report.conservation(stats))
         if stats.bytes_skipped:
-            say(f"skipped: {report.reject_text(stats)}; resyncs: {stats.resyncs:,}")
+            _say(f"skipped: {report.reject_text(stats)}; resyncs: {stats.resyncs:,}")
         if stats.controls:
-            say(f"control packets, not in the output as they are no frames: {stats.controls:,}")
+            _say(f"control packets, not in the output as they are no frames: {stats.controls:,}")
     if target_format == RAW:
-        say(f"{done.frames:,} frames = {done.bytes_out:,} bytes out")
+        _say(f"{done.frames:,} frames = {done.bytes_out:,} bytes out")
     for remark in done.remarks:
-        say(remark)
+        _say(remark)
     return GOOD
 
 
