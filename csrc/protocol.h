@@ -63,8 +63,10 @@ typedef struct {
 } scan_stop;
 
 /* The bytes that may be read behind any candidate, whether they belong to the
- * stream or are padding: the longest packet, and the longest wide load. */
-enum { SCAN_WINDOW = CANSER_PACKET_MAX };
+ * stream or are padding: the longest packet, the longest wide load, and what a
+ * probe looks at before it knows that the dlc is good. */
+enum { SCAN_WINDOW = 24 };
+_Static_assert(SCAN_WINDOW >= CANSER_PACKET_MAX, "a whole packet fits the window");
 
 /* What a probe says of one position. */
 typedef enum { PROBE_FRAME, PROBE_CONTROL, PROBE_MORE, PROBE_REJECT } probe_kind;

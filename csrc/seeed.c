@@ -31,6 +31,9 @@ enum { TYPE_MARK = 0xC0, TYPE_EXT = 0x20, TYPE_RTR = 0x10, TYPE_DLC = 0x0F };
 /* The first two bytes of a data frame, as a little-endian number. */
 enum { DATA_MASK = (TYPE_MARK | TYPE_RTR) << 8 | 0xFF, DATA_HEAD = TYPE_MARK << 8 | START };
 
+/* The end mark of a data frame is looked at before its dlc is known to be good. */
+_Static_assert(6 + TYPE_DLC + 1 <= SCAN_WINDOW, "the longest length a type byte can claim");
+
 CANSER_COLD probe_result probe_fixed(const uint8_t *p, canser_frame *frame)
 {
     unsigned sum = 0;

@@ -380,6 +380,35 @@ static void test_decode(void)
     }
 }
 
+/* A start mark near the end of the input, and one value from there to the end:
+ * for every value a header byte may have, whatever length it claims. */
+static void test_ends(void)
+{
+    static const uint8_t marks[PLAIN_PROTOCOL_COUNT] = {
+        [PLAIN_CANTALOPE] = 0xFF, [PLAIN_SEEED] = 0xAA, [PLAIN_SERIAL] = 0xAA};
+    uint8_t stream[2 * CANSER_PACKET_MAX];
+
+    now.part = "ends";
+    now.at_end = 1;
+    now.shift = 0;
+    for (now.protocol = 0; now.protocol < PLAIN_PROTOCOL_COUNT; now.protocol++) {
+        for (unsigned value = 0; value < 256; value++) {
+            for (size_t len = 1; len <= sizeof stream; len++) {
+                memset(stream, (int)value, len);
+                stream[0] = marks[now.protocol];
+                plain_begin(&open_stream, now.protocol, 1000);
+                plain_scan(&open_stream, stream, len, false);
+                plain_begin(&ended_stream, now.protocol, 1000);
+                plain_scan(&ended_stream, stream, len, true);
+                now.len = len;
+                now.frame_cap = ended_stream.frame_count + 1;
+                now.control_cap = ended_stream.control_count + 1;
+                check_decode(stream, len, len);
+            }
+        }
+    }
+}
+
 /* Encode into `cap` bytes, and say what must come of it: frames up to the first
  * that does not fit or is refused. */
 static void check_encode(const canser_frame *frames, size_t count, int64_t tick_ns, size_t cap)
@@ -919,6 +948,7 @@ int main(int argc, char **argv)
         test_huge();
     } else {
         test_decode();
+        test_ends();
         test_encode();
         test_refusals();
         test_arguments();
