@@ -15,6 +15,7 @@ def test_the_right_protocol_is_first_and_fits(protocol: str, rate: float) -> Non
     fits = canser.identify(raw)
     assert [fit.protocol for fit in fits if fit.fits] == [protocol]
     assert fits[0].protocol == protocol
+    assert fits[0].score > (0.95 if rate <= 0.001 else 0.75)
     assert sorted(fit.protocol for fit in fits) == list(canser.protocols())
 
 
