@@ -16,7 +16,7 @@
  * - Commands other than 00 and 01 have lengths that nobody wrote down: rejected.
  * - Standard ids only, no error frames, no timestamp.
  */
-#include "protocol.h"
+#include "vector.h"
 
 enum { HEADER = 2, COMMAND = 0xFF, PING = 0x00, PING_LEN = 3, ERROR_REPORT = 0x01, ERROR_LEN = 4 };
 
@@ -44,23 +44,53 @@ CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *f
     return probe_frame(len);
 }
 
-CANSER_INLINE int refuse(const canser_frame *frame)
+CANSER_INLINE bool probe_plain(const uint8_t *p, canser_frame *frame, uint32_t *raw,
+                               const uint8_t **next)
 {
-    return refuse_frame(frame, false, false);
+    const size_t dlc = p[1] & 0xF;
+    const unsigned rtr = p[1] >> 4 & 1;
+
+    (void)raw;
+    *next = p + HEADER;
+    CANSER_OPAQUE(*next); /* one sum behind the dlc, which the next frame waits for */
+    *next += dlc;
+    if (!CANSER_LIKELY(dlc <= DLC_MAX))
+        return false;
+    store_frame(frame, (uint32_t)p[0] << 3 | p[1] >> 5, 0, rtr, 0, dlc, p + HEADER);
+    return true;
 }
 
-CANSER_INLINE unsigned emit(const canser_frame *frame, uint32_t raw, uint8_t *out)
+#if CANSER_VECTOR
+
+enum { SURVEY_FIRST = CANSER_REJECT_DLC, SURVEY_SECOND = CANSER_REJECT_COMMAND };
+
+CANSER_INLINE surveyed survey(const uint8_t *p)
+{
+    const uint64_t dlc = survey_at_most(p + 1, 0x0F, DLC_MAX);
+    const uint64_t command = survey_equal(p, COMMAND) & survey_equal(p + 1, COMMAND);
+    const uint64_t known = command ? survey_at_most(p + 2, 0xFF, ERROR_REPORT) : 0;
+    return (surveyed){dlc | (command & known), command & ~known};
+}
+
+#endif
+
+CANSER_INLINE unsigned emit(const canser_frame *frame, uint32_t raw, uint8_t *out, const bool plain)
 {
     static const uint8_t zeros[DLC_MAX];
-    const unsigned head = (unsigned)frame->id << 5 | (frame->rtr ? 1u << 4 : 0) | frame->dlc;
+    const unsigned rtr = !plain && frame->rtr;
+    const unsigned head = (unsigned)frame->id << 5 | rtr << 4 | frame->dlc;
+
     (void)raw;
     out[0] = (uint8_t)(head >> 8);
     out[1] = (uint8_t)head;
-    memcpy(out + HEADER, frame->rtr ? zeros : frame->data, DLC_MAX);
+    memcpy(out + HEADER, rtr ? zeros : frame->data, DLC_MAX);
     return HEADER + frame->dlc;
 }
 
 #define HAS_CLOCK 0
+#define HAS_EXT   0
+#define HAS_ERR   0
+#define FRAME_MAX (HEADER + DLC_MAX)
 #include "scan.h"
 
 static const struct canser_codec codec = {scan, encode};
@@ -69,7 +99,7 @@ const canser_protocol canser_protocol_cantalope = {
     .name = "cantalope",
     .aliases = "",
     .frame_min = HEADER,
-    .frame_max = HEADER + DLC_MAX,
+    .frame_max = FRAME_MAX,
     .has_clock = HAS_CLOCK,
     .codec = &codec,
 };

@@ -26,18 +26,23 @@ CANSER_PROTOCOLS(CANSER_DECLARE)
 #define CANSER_LIKELY(x)         __builtin_expect(!!(x), 1)
 #define CANSER_PREFETCH_READ(p)  __builtin_prefetch((p), 0)
 #define CANSER_PREFETCH_WRITE(p) __builtin_prefetch((p), 1)
+/* The value as it is, of which the compiler knows nothing: a sum stays in the
+ * order in which it is written. */
+#define CANSER_OPAQUE(x) __asm__("" : "+r"(x))
 #elif defined(_MSC_VER)
 #define CANSER_INLINE            static __forceinline
 #define CANSER_COLD              static __declspec(noinline)
 #define CANSER_LIKELY(x)         (x)
 #define CANSER_PREFETCH_READ(p)  ((void)(p))
 #define CANSER_PREFETCH_WRITE(p) ((void)(p))
+#define CANSER_OPAQUE(x)         ((void)(x))
 #else
 #define CANSER_INLINE            static inline
 #define CANSER_COLD              static
 #define CANSER_LIKELY(x)         (x)
 #define CANSER_PREFETCH_READ(p)  ((void)(p))
 #define CANSER_PREFETCH_WRITE(p) ((void)(p))
+#define CANSER_OPAQUE(x)         ((void)(x))
 #endif
 
 #if defined(__BYTE_ORDER__) && __BYTE_ORDER__ == __ORDER_BIG_ENDIAN__
@@ -136,65 +141,96 @@ CANSER_INLINE void store_le32(uint8_t *p, uint32_t value)
 #endif
 }
 
-/* The first `dlc` of eight bytes, the rest zero. A table and one wide load:
- * memcpy of a variable length is ten times slower. */
-CANSER_INLINE void copy_payload(uint8_t *to, const uint8_t *from, size_t dlc)
+CANSER_INLINE void store_le64(uint8_t *p, uint64_t value)
 {
-    static const uint8_t keep[DLC_MAX + 1][8] = {
-        {0, 0, 0, 0, 0, 0, 0, 0},
-        {255, 0, 0, 0, 0, 0, 0, 0},
-        {255, 255, 0, 0, 0, 0, 0, 0},
-        {255, 255, 255, 0, 0, 0, 0, 0},
-        {255, 255, 255, 255, 0, 0, 0, 0},
-        {255, 255, 255, 255, 255, 0, 0, 0},
-        {255, 255, 255, 255, 255, 255, 0, 0},
-        {255, 255, 255, 255, 255, 255, 255, 0},
-        {255, 255, 255, 255, 255, 255, 255, 255},
-    };
-    uint64_t payload, mask;
-    memcpy(&payload, from, sizeof payload);
-    memcpy(&mask, keep[dlc], sizeof mask);
-    payload &= mask;
-    memcpy(to, &payload, sizeof payload);
+#if CANSER_BIG_ENDIAN
+    store_le32(p, (uint32_t)value);
+    store_le32(p + 4, (uint32_t)(value >> 32));
+#else
+    memcpy(p, &value, sizeof value);
+#endif
 }
 
-/* All fields of a record but its time. Four byte stores in a row cost more than
- * the payload; one word of eight bytes costs nothing. */
+/* Eight bytes as they lie in memory. */
+CANSER_INLINE uint64_t load_word(const uint8_t *p)
+{
+    uint64_t word;
+    memcpy(&word, p, sizeof word);
+    return word;
+}
+
+/* A record but its time as two words of eight bytes: a store for each field costs
+ * more than the payload. */
+CANSER_INLINE void store_words(canser_frame *frame, uint64_t head, uint64_t payload)
+{
+    memcpy(frame, &head, sizeof head);
+    memcpy(frame->data, &payload, sizeof payload);
+}
+
+/* The mask of a word's first `count` bytes in memory, constant. */
+#if CANSER_BIG_ENDIAN
+#define FIRST_BYTES(count) (~(UINT64_MAX >> 4 * (count) >> 4 * (count)))
+#else
+#define FIRST_BYTES(count) (~(UINT64_MAX << 4 * (count) << 4 * (count)))
+#endif
+
+/* The first `dlc` of eight bytes, the rest zero. A table and one wide load:
+ * memcpy of a variable length is ten times slower. */
+CANSER_INLINE uint64_t load_payload(const uint8_t *p, size_t dlc)
+{
+    static const uint64_t keep[DLC_MAX + 1] = {
+        FIRST_BYTES(0), FIRST_BYTES(1), FIRST_BYTES(2), FIRST_BYTES(3), FIRST_BYTES(4),
+        FIRST_BYTES(5), FIRST_BYTES(6), FIRST_BYTES(7), FIRST_BYTES(8),
+    };
+    return load_word(p) & keep[dlc];
+}
+
+/* id, ext, rtr, err and dlc as they lie in a record, one word. */
+#if CANSER_BIG_ENDIAN
+#define FRAME_HEAD(id, ext, rtr, err, dlc)                                                         \
+    ((uint64_t)(id) << 32 | (uint64_t)(ext) << 24 | (uint64_t)(rtr) << 16 | (uint64_t)(dlc) << 8 | \
+     (uint64_t)(err))
+#else
+#define FRAME_HEAD(id, ext, rtr, err, dlc)                                                         \
+    ((uint64_t)(id) | (uint64_t)(ext) << 32 | (uint64_t)(rtr) << 40 | (uint64_t)(dlc) << 48 |      \
+     (uint64_t)(err) << 56)
+#endif
+
+/* All fields of a record but its time. */
 CANSER_INLINE void store_frame(canser_frame *frame, uint32_t id, unsigned ext, unsigned rtr,
                                unsigned err, size_t dlc, const uint8_t *payload)
 {
-#if CANSER_BIG_ENDIAN
-    frame->id = id;
-    frame->ext = (uint8_t)ext;
-    frame->rtr = (uint8_t)rtr;
-    frame->dlc = (uint8_t)dlc;
-    frame->err = (uint8_t)err;
-#else
-    const uint32_t flags = ext | rtr << 8 | (uint32_t)dlc << 16 | err << 24;
-    const uint64_t head = id | (uint64_t)flags << 32;
-    memcpy(frame, &head, sizeof head);
-#endif
-    copy_payload(frame->data, payload, rtr ? 0 : dlc);
+    store_words(frame, FRAME_HEAD(id, ext, rtr, err, dlc), load_payload(payload, rtr ? 0 : dlc));
 }
 
 /* Whether the format cannot carry a frame: a dlc over 8, an id over the limit of
- * its kind, a kind it does not have. One test and no branch on ext, which nobody
- * can predict on mixed traffic; only a refusal asks which it was. */
+ * its kind, a kind it does not have. */
 CANSER_INLINE int refuse_frame(const canser_frame *frame, bool has_ext, bool has_err)
 {
-    const bool ext = frame->ext != 0, err = frame->err != 0;
-    const uint32_t limit = ID_STD_MAX | ((0 - (uint32_t)ext) & ID_EXT_MAX);
-    const bool odd_kind = (ext && !has_ext) | (err && !has_err);
+    const bool ext = frame->ext != 0;
 
-    if (CANSER_LIKELY(!((frame->dlc > DLC_MAX) | (frame->id > limit) | odd_kind)))
-        return CANSER_REFUSAL_NONE;
-    if (err && !has_err)
+    if (frame->err && !has_err)
         return CANSER_REFUSAL_ERR;
     if (ext && !has_ext)
         return CANSER_REFUSAL_EXT;
     if (frame->dlc > DLC_MAX)
         return CANSER_REFUSAL_DLC;
-    return ext ? CANSER_REFUSAL_ID_EXT : CANSER_REFUSAL_ID;
+    if (frame->id > (uint32_t)(ext ? ID_EXT_MAX : ID_STD_MAX))
+        return ext ? CANSER_REFUSAL_ID_EXT : CANSER_REFUSAL_ID;
+    return CANSER_REFUSAL_NONE;
+}
+
+/* Whether a frame is a data frame that may be sent, in few tests and without one of
+ * ext, which nobody can predict on mixed traffic. */
+CANSER_INLINE bool frame_is_plain(const canser_frame *frame, bool has_ext)
+{
+    static const uint32_t id_over[2] = {~(uint32_t)ID_STD_MAX, ~(uint32_t)ID_EXT_MAX};
+    const uint64_t odd = FRAME_HEAD(0, has_ext ? 0xFE : 0xFF, 0xFF, 0xFF, 0xF0);
+    uint64_t head;
+
+    memcpy(&head, frame, sizeof head);
+    return CANSER_LIKELY(!(head & odd)) && CANSER_LIKELY(frame->dlc <= DLC_MAX) &&
+           CANSER_LIKELY(!(frame->id & id_over[has_ext ? frame->ext : 0]));
 }
 
 #endif

@@ -2,14 +2,21 @@
  * protocol. A protocol file defines, and then includes this:
  *
  *   HAS_CLOCK   1 if its frames carry a device timestamp, else 0
+ *   HAS_EXT     1 if it has extended frames, else 0
+ *   HAS_ERR     1 if it has error frames, else 0
+ *   FRAME_MAX   the longest frame in bytes
  *   probe()     what starts at `p`, of which `avail` bytes are the stream's and
  *               SCAN_WINDOW may be read. Checks the bytes in the order in which
  *               they arrive, so that a reject and its reason never depend on
  *               how many bytes are there. Writes `frame` (all but ts) and `raw`
  *               (the device timestamp) only where it finds a frame.
+ *   probe_plain()  the same for the frames that a bus is full of, where a whole
+ *               window is there: true, with `next` behind the frame, or false
+ *               if probe() must tell. May write `frame` and `raw` at any time.
+ *   survey()    with vectors: where among 64 positions no packet starts, and why
  *   emit()      one frame to the wire; returns its length, never over
- *               SCAN_WINDOW. `raw` is the device timestamp to send.
- *   refuse()    CANSER_REFUSAL_NONE, or why the format cannot carry the frame
+ *               SCAN_WINDOW. `raw` is the device timestamp to send; `plain`, a
+ *               constant in each call: frame_is_plain().
  */
 #include "clock.h"
 
@@ -17,10 +24,50 @@
  * times what passes during one access to memory. */
 enum { PREFETCH_IN = 1024, PREFETCH_OUT = 128 };
 
-/* From a reject at `p` to the next position where something else is found, or
- * the end of the scan. */
+#if CANSER_VECTOR
+
+/* From `p`, over rejects, to the first position where something else is found,
+ * or where fewer than SURVEY positions are left. */
+CANSER_INLINE const uint8_t *resync_surveys(canser_stats *stats, const uint8_t *p,
+                                            const uint8_t *stop)
+{
+    while (stop - p >= SURVEY) {
+        const surveyed seen = survey(p);
+        uint64_t left = seen.open;
+        size_t passed = SURVEY, probed = 0;
+
+        while (left) {
+            canser_frame scratch;
+            uint32_t raw;
+            const size_t at = lowest_bit(left);
+            const probe_result found = probe(p + at, SCAN_WINDOW, &scratch, &raw);
+
+            if (found.kind != PROBE_REJECT) {
+                passed = at;
+                break;
+            }
+            stats->rejects[found.value]++;
+            probed++;
+            left &= left - 1;
+        }
+        const uint64_t before = passed == SURVEY ? UINT64_MAX : (UINT64_C(1) << passed) - 1;
+        const size_t second = seen.second & before ? count_bits(seen.second & before) : 0;
+        stats->rejects[SURVEY_SECOND] += second;
+        stats->rejects[SURVEY_FIRST] += passed - probed - second;
+        p += passed;
+        if (passed < SURVEY)
+            break;
+    }
+    return p;
+}
+
+#endif
+
+/* From a reject at `p`, for `reason`, to the next position where something else
+ * is found, or the end of the scan. */
 CANSER_COLD const uint8_t *resync(canser_decoder *self, const uint8_t *p, const uint8_t *stop,
-                                  const uint8_t *end, uint64_t offset, const scan_mode mode)
+                                  const uint8_t *end, uint64_t offset, size_t reason,
+                                  const scan_mode mode)
 {
     canser_stats *const stats = &self->stats;
     const uint8_t *const begin = p;
@@ -28,6 +75,14 @@ CANSER_COLD const uint8_t *resync(canser_decoder *self, const uint8_t *p, const 
     uint32_t raw;
 
     stats->resyncs += offset != self->skip_end;
+    stats->rejects[reason]++;
+    /* Step one byte, not one packet: a false marker may have swallowed the start
+     * of a good frame, and that frame must still be found. */
+    p++;
+#if CANSER_VECTOR
+    if (mode == SCAN_BODY)
+        p = resync_surveys(stats, p, stop);
+#endif
     while (p < stop) {
         const size_t avail = mode == SCAN_BODY ? (size_t)SCAN_WINDOW : (size_t)(end - p);
         const probe_result found = probe(p, avail, &scratch, &raw);
@@ -38,8 +93,6 @@ CANSER_COLD const uint8_t *resync(canser_decoder *self, const uint8_t *p, const 
             stats->rejects[CANSER_REJECT_CUT]++;
         else
             break;
-        /* Step one byte, not one packet: a false marker may have swallowed
-         * the start of a good frame, and that frame must still be found. */
         p++;
     }
     stats->bytes_skipped += (uint64_t)(p - begin);
@@ -76,7 +129,7 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
     const uint8_t *const end = data + len;
     canser_frame *frame = batch->frames + batch->frame_count;
     canser_frame *const frames_end = batch->frames + batch->frame_cap;
-    int64_t *const offsets = batch->offsets;
+    int64_t *offsets = batch->offsets ? batch->offsets + batch->frame_count : NULL;
     canser_stats *const stats = &self->stats;
     canser_clock clock = self->clock;
     const uint64_t apart = stats->bytes_control + stats->bytes_skipped;
@@ -85,27 +138,37 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
     bool wants_more = false;
 
     while (p < stop && frame < frames_end) {
-        const size_t avail = mode == SCAN_BODY ? (size_t)SCAN_WINDOW : (size_t)(end - p);
-        uint32_t raw = 0;
+        /* So many frames surely fit: among them nothing asks for the end. */
+        const size_t room = (size_t)(frames_end - frame);
+        const size_t sure = mode == SCAN_BODY ? (size_t)(stop - p - 1) / FRAME_MAX + 1 : 1;
+        canser_frame *const until = frame + (sure < room ? sure : room);
+        probe_result found = probe_frame(0);
 
-        if (mode == SCAN_BODY) {
-            CANSER_PREFETCH_READ((const void *)((uintptr_t)p + PREFETCH_IN));
-            CANSER_PREFETCH_WRITE((const void *)((uintptr_t)frame + PREFETCH_OUT * sizeof *frame));
-        }
-        const probe_result found = probe(p, avail, frame, &raw);
-        if (CANSER_LIKELY(found.kind == PROBE_FRAME)) {
-            if (HAS_CLOCK) {
-                frame->ts =
-                    clock_advance(&clock, raw, number_before + (uint64_t)(frame - begin), stats);
-            } else {
-                frame->ts = CANSER_NO_TIME;
+        do {
+            const size_t avail = mode == SCAN_BODY ? (size_t)SCAN_WINDOW : (size_t)(end - p);
+            const uint8_t *next;
+            uint32_t raw = 0;
+
+            if (mode == SCAN_BODY) {
+                CANSER_PREFETCH_READ((const void *)((uintptr_t)p + PREFETCH_IN));
+                CANSER_PREFETCH_WRITE(
+                    (const void *)((uintptr_t)frame + PREFETCH_OUT * sizeof *frame));
             }
+            if (mode != SCAN_BODY || !CANSER_LIKELY(probe_plain(p, frame, &raw, &next))) {
+                found = probe(p, avail, frame, &raw);
+                if (found.kind != PROBE_FRAME)
+                    break;
+                next = p + found.value;
+            }
+            frame->ts = HAS_CLOCK ? clock_advance(&clock, raw,
+                                                  number_before + (uint64_t)(frame - begin), stats)
+                                  : CANSER_NO_TIME;
             if (offsets)
-                offsets[frame - batch->frames] = (int64_t)(base + (uint64_t)(p - data));
+                *offsets++ = (int64_t)(base + (uint64_t)(p - data));
             frame++;
-            p += found.value;
-            continue;
-        }
+            p = next;
+        } while (frame < until);
+
         const uint64_t offset = base + (uint64_t)(p - data);
         if (found.kind == PROBE_CONTROL) {
             if (!take_control(self, p, found.value, offset, batch))
@@ -114,8 +177,9 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
         } else if (found.kind == PROBE_MORE && mode != SCAN_END) {
             wants_more = true;
             break;
-        } else {
-            p = resync(self, p, stop, end, offset, mode);
+        } else if (found.kind != PROBE_FRAME) {
+            const size_t reason = found.kind == PROBE_REJECT ? found.value : CANSER_REJECT_CUT;
+            p = resync(self, p, stop, end, offset, reason, mode);
         }
     }
 
@@ -139,33 +203,48 @@ static scan_stop scan(canser_decoder *self, const uint8_t *data, size_t pos, siz
     return scan_loop(self, data, pos, stop, len, base, batch, SCAN_END);
 }
 
+/* A time in ticks, rounded down; C rounds to zero. */
+CANSER_INLINE uint32_t count_ticks(int64_t ts, const int64_t tick_ns)
+{
+    return (uint32_t)(ts / tick_ns - (ts % tick_ns < 0));
+}
+
 CANSER_INLINE void encode_loop(const canser_frame *frames, size_t frame_count,
                                const int64_t tick_ns, uint8_t *out, size_t out_cap,
                                canser_encoded *result)
 {
-    size_t count = 0, pos = 0;
+    const canser_frame *frame = frames;
+    const canser_frame *const end = frames + frame_count;
+    uint8_t *const begin = out;
+    uint8_t *const out_end = out + out_cap;
     int refusal = CANSER_REFUSAL_NONE;
 
-    while (count < frame_count && out_cap - pos >= SCAN_WINDOW) {
-        const canser_frame *const frame = frames + count;
-        uint32_t raw = 0;
+    while (frame < end && out_end - out >= SCAN_WINDOW && !refusal) {
+        /* So many frames surely fit: among them nothing asks for the room. */
+        const size_t room = (size_t)(out_end - out - SCAN_WINDOW) / FRAME_MAX + 1;
+        const size_t left = (size_t)(end - frame);
+        const canser_frame *const until = frame + (left < room ? left : room);
 
-        CANSER_PREFETCH_READ((const void *)((uintptr_t)frame + PREFETCH_OUT * sizeof *frame));
-        refusal = refuse(frame);
-        if (HAS_CLOCK && frame->ts == CANSER_NO_TIME && !refusal)
-            refusal = CANSER_REFUSAL_TIME;
-        if (!CANSER_LIKELY(!refusal))
-            break;
-        if (HAS_CLOCK) {
-            /* C rounds to zero; a time before zero goes down, too. */
-            const int64_t ticks = frame->ts / tick_ns;
-            raw = (uint32_t)(ticks - (frame->ts % tick_ns < 0));
-        }
-        pos += emit(frame, raw, out + pos);
-        count++;
+        do {
+            CANSER_PREFETCH_READ((const void *)((uintptr_t)frame + PREFETCH_OUT * sizeof *frame));
+            /* A time before zero is rare, and no time is one of them. */
+            if (CANSER_LIKELY(frame_is_plain(frame, HAS_EXT)) &&
+                CANSER_LIKELY(!HAS_CLOCK || frame->ts >= 0)) {
+                const uint64_t ticks = HAS_CLOCK ? (uint64_t)frame->ts / (uint64_t)tick_ns : 0;
+                out += emit(frame, (uint32_t)ticks, out, true);
+            } else {
+                refusal = refuse_frame(frame, HAS_EXT, HAS_ERR);
+                if (HAS_CLOCK && frame->ts == CANSER_NO_TIME && !refusal)
+                    refusal = CANSER_REFUSAL_TIME;
+                if (refusal)
+                    break;
+                out += emit(frame, HAS_CLOCK ? count_ticks(frame->ts, tick_ns) : 0, out, false);
+            }
+            frame++;
+        } while (frame < until);
     }
-    result->frame_count = count;
-    result->byte_count = pos;
+    result->frame_count = (size_t)(frame - frames);
+    result->byte_count = (size_t)(out - begin);
     result->refusal = refusal;
 }
 

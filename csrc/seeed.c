@@ -23,13 +23,10 @@
  * - AA and 55 inside ids and payloads are normal.
  * - There is no timestamp.
  */
-#include "protocol.h"
+#include "vector.h"
 
 enum { START = 0xAA, END = 0x55, FIXED = 0x55, FIXED_LEN = 20, FIXED_FRAME = 0x01 };
 enum { TYPE_MARK = 0xC0, TYPE_EXT = 0x20, TYPE_RTR = 0x10, TYPE_DLC = 0x0F };
-
-/* The first two bytes of a data frame, as a little-endian number. */
-enum { DATA_MASK = (TYPE_MARK | TYPE_RTR) << 8 | 0xFF, DATA_HEAD = TYPE_MARK << 8 | START };
 
 /* The end mark of a data frame is looked at before its dlc is known to be good. */
 _Static_assert(6 + TYPE_DLC + 1 <= SCAN_WINDOW, "the longest length a type byte can claim");
@@ -56,7 +53,7 @@ CANSER_COLD probe_result probe_fixed(const uint8_t *p, canser_frame *frame)
 
 /* Everything but the start mark, byte by byte: what is no plain data frame, and
  * why nothing starts here. */
-CANSER_COLD probe_result probe_each(const uint8_t *p, size_t avail, canser_frame *frame)
+CANSER_COLD probe_result probe_started(const uint8_t *p, size_t avail, canser_frame *frame)
 {
     if (avail < 2)
         return probe_more();
@@ -91,48 +88,117 @@ CANSER_COLD probe_result probe_each(const uint8_t *p, size_t avail, canser_frame
 CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *frame, uint32_t *raw)
 {
     (void)raw;
-    /* A whole data frame in two tests. Branches and shifts share two ports of the
-     * CPU, and with a test for each rule they take longer than the memory; nor can
-     * anybody predict the kind of the id on mixed traffic. */
-    if (avail >= SCAN_WINDOW && CANSER_LIKELY((load_le16(p) & DATA_MASK) == DATA_HEAD)) {
-        const size_t dlc = p[1] & TYPE_DLC;
-        const size_t more = p[1] >> 4 & 2; /* bytes that an extended id has more */
-        const size_t len = dlc + 5 + more;
-        const int64_t wide = -(int64_t)(more >> 1);
-        const int64_t id = load_le32(p + 2) & (wide | 0xFFFF);
-        const int64_t id_max = ID_STD_MAX | (wide & ID_EXT_MAX);
-        /* Negative if any of the three is. */
-        const int64_t good =
-            (id_max - id) | (DLC_MAX - (int64_t)dlc) | -(int64_t)(p[len - 1] ^ END);
-
-        if (CANSER_LIKELY(good >= 0)) {
-            store_frame(frame, (uint32_t)id, (unsigned)more >> 1, 0, 0, dlc, p + 4 + more);
-            return probe_frame(len);
-        }
-    }
-    return p[0] == START ? probe_each(p, avail, frame) : probe_reject(CANSER_REJECT_MARKER);
+    return p[0] == START ? probe_started(p, avail, frame) : probe_reject(CANSER_REJECT_MARKER);
 }
 
-CANSER_INLINE int refuse(const canser_frame *frame)
+/* What a type byte, less its mark, says of a data frame: one row in the place of a
+ * test for each rule. Tests and shifts share two ports of the CPU, and with all of
+ * them a frame takes longer than the memory; nor can anybody predict the kind of the
+ * id on mixed traffic. */
+typedef struct {
+    uint64_t flags;   /* ext and dlc, where the record has them */
+    uint64_t payload; /* the bytes of the payload */
+    uint32_t id;      /* the bytes of the id */
+    uint32_t id_over; /* bits that no id has */
+    uint32_t end;     /* the end mark, and where no data frame has this type no byte */
+} data_kind;
+
+#define KIND(dlc, ext, id, id_max)                                                                 \
+    {FRAME_HEAD(0, ext, 0, 0, dlc), FIRST_BYTES(dlc), id, (id) & ~(id_max), END}
+#define KINDS(ext, id, id_max)                                                                     \
+    KIND(0, ext, id, id_max), KIND(1, ext, id, id_max), KIND(2, ext, id, id_max),                  \
+        KIND(3, ext, id, id_max), KIND(4, ext, id, id_max), KIND(5, ext, id, id_max),              \
+        KIND(6, ext, id, id_max), KIND(7, ext, id, id_max), KIND(8, ext, id, id_max)
+#define NONE {0, 0, 0, 0, 0x100}
+
+static const data_kind data_kinds[] = {
+    KINDS(0, UINT32_C(0xFFFF), (uint32_t)ID_STD_MAX),
+    /* over 8; then remote frames */
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    NONE,
+    KINDS(1, UINT32_C(0xFFFFFFFF), (uint32_t)ID_EXT_MAX),
+};
+
+CANSER_INLINE bool probe_plain(const uint8_t *p, canser_frame *frame, uint32_t *raw,
+                               const uint8_t **next)
 {
-    return refuse_frame(frame, true, false);
+    const size_t type = p[1];
+    const size_t kind_at = type ^ TYPE_MARK;
+    const size_t more = type >> 4 & 2; /* bytes that an extended id has more */
+
+    (void)raw;
+    *next = p + 5;
+    CANSER_OPAQUE(*next); /* two sums behind the load: the next frame waits for them */
+    *next += type & TYPE_DLC;
+    CANSER_OPAQUE(*next);
+    *next += more;
+    if (!CANSER_LIKELY(kind_at < sizeof data_kinds / sizeof *data_kinds) ||
+        !CANSER_LIKELY(p[0] == START))
+        return false;
+    const data_kind *const kind = &data_kinds[kind_at];
+    const uint32_t id = load_le32(p + 2);
+    if (!CANSER_LIKELY(!((id & kind->id_over) | (p[4 + more + (type & TYPE_DLC)] ^ kind->end))))
+        return false;
+    store_words(frame, FRAME_HEAD(id & kind->id, 0, 0, 0, 0) | kind->flags,
+                load_word(p + 4 + more) & kind->payload);
+    return true;
 }
 
-CANSER_INLINE unsigned emit(const canser_frame *frame, uint32_t raw, uint8_t *out)
+#if CANSER_VECTOR
+
+enum { SURVEY_FIRST = CANSER_REJECT_MARKER, SURVEY_SECOND = CANSER_REJECT_TYPE };
+
+CANSER_INLINE surveyed survey(const uint8_t *p)
+{
+    const uint64_t start = survey_equal(p, START);
+    if (!start)
+        return (surveyed){0, 0};
+    const uint64_t type = ~survey_at_most(p + 1, 0xFF, TYPE_MARK - 1) | survey_equal(p + 1, FIXED);
+    return (surveyed){start & type, start & ~type};
+}
+
+#endif
+
+CANSER_INLINE unsigned emit(const canser_frame *frame, uint32_t raw, uint8_t *out, const bool plain)
 {
     static const uint8_t zeros[DLC_MAX];
-    const unsigned ext = frame->ext != 0, rtr = frame->rtr != 0;
+    const unsigned ext = plain ? frame->ext : frame->ext != 0, rtr = !plain && frame->rtr;
     const unsigned header = 4 + 2 * ext;
+    const unsigned type = TYPE_MARK | ext << 5 | rtr << 4 | frame->dlc;
+
     (void)raw;
-    out[0] = START;
-    out[1] = (uint8_t)(TYPE_MARK | ext << 5 | rtr << 4 | frame->dlc);
-    store_le32(out + 2, frame->id); /* of a standard id two bytes are overwritten below */
+    /* of a standard id two bytes are overwritten below */
+    store_le64(out, START | type << 8 | (uint64_t)frame->id << 16);
     memcpy(out + header, rtr ? zeros : frame->data, DLC_MAX);
     out[header + frame->dlc] = END;
     return header + frame->dlc + 1;
 }
 
 #define HAS_CLOCK 0
+#define HAS_EXT   1
+#define HAS_ERR   0
+#define FRAME_MAX FIXED_LEN
 #include "scan.h"
 
 static const struct canser_codec codec = {scan, encode};

@@ -16,12 +16,15 @@
  *   frame ends there, else dlc bytes later. Written without payload.
  * - The unit of the timestamp is not in the stream; the caller names it.
  */
-#include "protocol.h"
+#include "vector.h"
 
 enum { START = 0xAA, END = 0xBB, HEADER = 10 };
 
 /* The flags of the id, by their bits. */
 enum { BIT_EXT = 31, BIT_RTR = 30, BIT_ERR = 29 };
+
+/* Hardly any frame has one of these. */
+#define FLAGS_RARE (UINT32_C(1) << BIT_RTR | UINT32_C(1) << BIT_ERR)
 
 /* From the id on. `flagged`, a constant in each call: the remote or the error
  * flag is set. */
@@ -58,25 +61,51 @@ CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *f
     if (avail < HEADER + 1)
         return probe_more();
     *raw = load_le32(p + 1);
-    if (!CANSER_LIKELY(!(load_le32(p + 6) & (UINT32_C(1) << BIT_RTR | UINT32_C(1) << BIT_ERR))))
+    if (!CANSER_LIKELY(!(load_le32(p + 6) & FLAGS_RARE)))
         return probe_flagged(p, avail, frame);
     return probe_rest(p, avail, frame, false);
 }
 
-CANSER_INLINE int refuse(const canser_frame *frame)
+/* Neither remote nor error frame. Any id over 11 bits is extended: with the flag
+ * of the extended id, too, it is over. */
+CANSER_INLINE bool probe_plain(const uint8_t *p, canser_frame *frame, uint32_t *raw,
+                               const uint8_t **next)
 {
-    return refuse_frame(frame, true, true);
+    const size_t dlc = p[5];
+    const uint32_t id = load_le32(p + 6);
+
+    *next = p + HEADER + 1;
+    CANSER_OPAQUE(*next); /* one sum behind the load: the dlc is what the next frame waits for */
+    *next += dlc;
+    if (!CANSER_LIKELY(p[0] == START) || !CANSER_LIKELY(dlc <= DLC_MAX) ||
+        !CANSER_LIKELY(!(id & FLAGS_RARE)) || !CANSER_LIKELY(p[HEADER + dlc] == END))
+        return false;
+    *raw = load_le32(p + 1);
+    store_frame(frame, id & ID_EXT_MAX, id > ID_STD_MAX, 0, 0, dlc, p + HEADER);
+    return true;
 }
 
-CANSER_INLINE unsigned emit(const canser_frame *frame, uint32_t raw, uint8_t *out)
+#if CANSER_VECTOR
+
+enum { SURVEY_FIRST = CANSER_REJECT_MARKER, SURVEY_SECOND = CANSER_REJECT_DLC };
+
+CANSER_INLINE surveyed survey(const uint8_t *p)
 {
-    const unsigned payload_len = frame->rtr ? 0 : frame->dlc;
-    const uint32_t flags = (uint32_t)(frame->ext != 0) << BIT_EXT |
-                           (uint32_t)(frame->rtr != 0) << BIT_RTR |
-                           (uint32_t)(frame->err != 0) << BIT_ERR;
-    out[0] = START;
-    store_le32(out + 1, raw);
-    out[5] = frame->dlc;
+    const uint64_t start = survey_equal(p, START);
+    const uint64_t dlc = start ? survey_at_most(p + 5, 0xFF, DLC_MAX) : 0;
+    return (surveyed){start & dlc, start & ~dlc};
+}
+
+#endif
+
+CANSER_INLINE unsigned emit(const canser_frame *frame, uint32_t raw, uint8_t *out, const bool plain)
+{
+    const uint32_t ext = plain ? frame->ext : frame->ext != 0;
+    const uint32_t rtr = !plain && frame->rtr, err = !plain && frame->err;
+    const uint32_t flags = ext << BIT_EXT | rtr << BIT_RTR | err << BIT_ERR;
+    const unsigned payload_len = rtr ? 0 : frame->dlc;
+
+    store_le64(out, START | (uint64_t)raw << 8 | (uint64_t)frame->dlc << 40);
     store_le32(out + 6, frame->id | flags);
     memcpy(out + HEADER, frame->data, DLC_MAX); /* the end mark comes over the surplus */
     out[HEADER + payload_len] = END;
@@ -84,6 +113,9 @@ CANSER_INLINE unsigned emit(const canser_frame *frame, uint32_t raw, uint8_t *ou
 }
 
 #define HAS_CLOCK 1
+#define HAS_EXT   1
+#define HAS_ERR   1
+#define FRAME_MAX (HEADER + DLC_MAX + 1)
 #include "scan.h"
 
 static const struct canser_codec codec = {scan, encode};
@@ -92,7 +124,7 @@ const canser_protocol canser_protocol_serial = {
     .name = "serial",
     .aliases = "python-can",
     .frame_min = HEADER + 1,
-    .frame_max = HEADER + DLC_MAX + 1,
+    .frame_max = FRAME_MAX,
     .has_clock = HAS_CLOCK,
     .codec = &codec,
 };
