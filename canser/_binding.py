@@ -31,6 +31,11 @@ for _name, _field in ffi.typeof("canser_frame").fields:
     assert FRAME_DTYPE.fields[_name][0].itemsize == ffi.sizeof(_field.type)
 assert FRAME_DTYPE.itemsize == ffi.sizeof("canser_frame")
 
+# What a chunk's guess reads before its stretch, and what must lie behind a packet's first
+# byte for it to be taken.
+RUN_UP: Final = int(lib.CANSER_RUN_UP)
+BEHIND: Final = int(lib.CANSER_BEHIND)
+
 # How many control packets C may leave before it must ask for room again.
 _CONTROL_CAP: Final = 1024
 _CONTROL_DTYPE: Final = np.dtype([("offset", "u8"), ("len", "u1"), ("bytes", "u1", (23,))])
@@ -175,6 +180,17 @@ def output_offsets(offsets: Offsets | None, frame_cap: int) -> Pointer:
     return ffi.from_buffer("int64_t[]", offsets)
 
 
+def output_room(
+    out: FrameArray, count: int, offsets: Offsets | None
+) -> tuple[Pointer, int, Pointer]:
+    """Return pointers into checked arrays behind `count` frames, and the room there.
+
+    They hold nothing: the caller holds the arrays.
+    """
+    at = ffi.NULL if offsets is None else ffi.from_buffer("int64_t[]", offsets) + count
+    return ffi.from_buffer("canser_frame[]", out) + count, len(out) - count, at
+
+
 def output_bytes(out: npt.NDArray[np.uint8]) -> Pointer:
     """Return a pointer to room for bytes; it holds the array."""
     _check_array(out, "out", (np.dtype(np.uint8),), "np.empty(n, np.uint8)")
@@ -200,7 +216,7 @@ class Stream:
     """
 
     def __init__(self, protocol: Protocol, tick_ns: int) -> None:
-        self._protocol = protocol
+        self.protocol = protocol
         self._tick_ns = tick_ns
         self._state = ffi.new("canser_decoder *")
         self._used = ffi.new("size_t *")
@@ -214,7 +230,7 @@ class Stream:
 
     def reset(self) -> None:
         """Start anew: counters zero, nothing held, the clock not started."""
-        lib.canser_decoder_init(self._state, self._protocol.row, self._tick_ns)
+        lib.canser_decoder_init(self._state, self.protocol.row, self._tick_ns)
 
     def feed(
         self, data: Pointer, data_len: int, out: Pointer, cap: int, at: Pointer
@@ -229,6 +245,26 @@ class Stream:
         if status:
             _raise_status(status)
         return self._used[0], batch.frame_count
+
+    def advance(
+        self, data: Pointer, data_len: int, out: Pointer, cap: int, at: Pointer, *, stop: int
+    ) -> tuple[int, int]:
+        """Decode as `feed` does what starts before `stop`, and hold nothing."""
+        batch = self._batch
+        batch.frames, batch.frame_cap, batch.offsets = out, cap, at
+        status = lib.canser_decoder_advance(self._state, data, data_len, stop, batch, self._used)
+        if status:
+            _raise_status(status)
+        return self._used[0], batch.frame_count
+
+    def join(self, chunk: "Chunk") -> bool:
+        """Go on over a chunk, if it starts where the stream stands; else return False."""
+        status = lib.canser_decoder_join(self._state, chunk.state, chunk.frames_at)
+        if status == lib.CANSER_APART:
+            return False
+        if status:
+            _raise_status(status)
+        return True
 
     def flush(self, out: Pointer, cap: int, at: Pointer) -> int:
         """End the stream; returns the frames. Again while bytes are pending."""
@@ -245,6 +281,11 @@ class Stream:
         return self._controls[:found].copy() if found else None
 
     @property
+    def position(self) -> int:
+        """The stream offset behind all bytes taken."""
+        return int(self._state.stats.bytes_in)
+
+    @property
     def pending(self) -> int:
         """Bytes held."""
         return int(self._state.carry_len)
@@ -256,6 +297,61 @@ class Stream:
         values["rejects"] = dict(zip(REJECT_NAMES, stats.rejects, strict=True))
         values["pending"] = self.pending
         return values
+
+
+class Chunk:
+    """A stretch of a stream, decoded by a guess into room of its own.
+
+    `frames` has room for `cap` frames, `offsets` for as many if they are asked for.
+    For one thread at a time.
+    """
+
+    def __init__(self, protocol: Protocol, cap: int, *, offsets: bool) -> None:
+        self._protocol, self._cap = protocol, cap
+        self.offsets = np.empty(cap, np.int64) if offsets else None
+        self._controls = np.empty(_CONTROL_CAP, _CONTROL_DTYPE)
+        self.state = ffi.new("canser_chunk *")
+        self._batch = ffi.new("canser_batch *")
+        self._take_room()
+        if self.offsets is not None:
+            # The pointer in a struct holds nothing: the array is held here.
+            self._batch.offsets = ffi.from_buffer("int64_t[]", self.offsets)
+        self._batch.controls = ffi.from_buffer("canser_control[]", self._controls)
+        self._batch.control_cap = _CONTROL_CAP
+
+    def _take_room(self) -> None:
+        self.frames = np.empty(self._cap, FRAME_DTYPE)
+        self.frames_at = ffi.from_buffer("canser_frame[]", self.frames)
+        self._batch.frames, self._batch.frame_cap = self.frames_at, self._cap
+
+    def decode(self, data: Pointer, data_len: int, first: int, stop: int, offset: int) -> None:
+        """Decode what starts in data[first..stop); `offset` is the stream's at data[0]."""
+        status = lib.canser_chunk_decode(
+            self.state, self._protocol.row, data, data_len, first, stop, offset, self._batch
+        )
+        if status:
+            _raise_status(status)
+
+    @property
+    def count(self) -> int:
+        """The frames in it."""
+        return int(self.state.frame_count)
+
+    def controls(self) -> npt.NDArray[np.void] | None:
+        """Return a copy of its control packets, None for none."""
+        found = self._batch.control_count
+        return self._controls[:found].copy() if found else None
+
+    def deliver(self, out: Pointer, count: int, first: int = 0) -> None:
+        """Copy `count` frames of the joined chunk to `out`, with their times."""
+        lib.canser_chunk_deliver(self.state, self.frames_at, first, count, out)
+
+    def hand_over(self) -> FrameArray:
+        """Return the frames of the joined chunk, with their times, and take new room."""
+        frames = self.frames[: self.count]
+        self.deliver(self.frames_at, self.count)
+        self._take_room()
+        return frames
 
 
 def unpack_controls(rows: npt.NDArray[np.void]) -> list[Control]:

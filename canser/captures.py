@@ -4,14 +4,26 @@ import io
 import mmap
 import os
 import stat
+from collections import deque
 from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import Future
 from typing import BinaryIO, Self, cast
 
 import numpy as np
 
-from canser._binding import BytesLike, Offsets
+from canser._binding import (
+    BEHIND,
+    RUN_UP,
+    BytesLike,
+    Chunk,
+    Offsets,
+    Pointer,
+    input_bytes,
+    output_room,
+)
 from canser.codec import Decoder, check_threads, decode
 from canser.frames import FRAME_DTYPE, FrameArray
+from canser.parallel import View
 
 __all__ = ["Blocks", "Source", "blocks", "read"]
 
@@ -36,6 +48,7 @@ def blocks(
     ts_unit: str = "ms",
     out: FrameArray | None = None,
     offsets: Offsets | None = None,
+    threads: int = 1,
     progress: Callable[[int, int | None], None] | None = None,
 ) -> "Blocks":
     """Decode a capture of any size, block by block.
@@ -45,6 +58,8 @@ def blocks(
     Iterate over the result: each block is an array of FRAME_DTYPE, shape (n,), n >= 1.
     With `out` a block is `out[:n]`, good until the next; without, a new array.
     `offsets` goes with `out`: `offsets[:n]` are the stream offsets of the block.
+    `threads`: how many may work on a regular file; the frames are the same for any
+    number, and without `out` the blocks are cut elsewhere.
     `progress` is called after each block with the bytes done and the bytes in all
     (None where nobody knows). `.decoder` has the stats and the control packets.
 
@@ -52,7 +67,9 @@ def blocks(
     """
     if offsets is not None and out is None:
         raise ValueError("offsets goes with out: give both")
-    return Blocks(path_or_file, Decoder(protocol, ts_unit=ts_unit), out, offsets, progress)
+    check_threads(threads)
+    decoder = Decoder(protocol, ts_unit=ts_unit)
+    return Blocks(path_or_file, decoder, out, offsets, threads=threads, progress=progress)
 
 
 class Blocks(Iterator[FrameArray]):
@@ -64,6 +81,8 @@ class Blocks(Iterator[FrameArray]):
         decoder: Decoder,
         out: FrameArray | None,
         offsets: Offsets | None,
+        *,
+        threads: int,
         progress: Callable[[int, int | None], None] | None,
     ) -> None:
         if out is not None:
@@ -88,6 +107,8 @@ class Blocks(Iterator[FrameArray]):
             self._pieces = _map_pieces(file, start, size)
         self._mapped = size is not None
         self._blocks = self._run()
+        if size is not None and threads > 1:
+            self._blocks = self._run_ahead(file, start, size, threads)
 
     def __iter__(self) -> Self:
         return self
@@ -106,6 +127,22 @@ class Blocks(Iterator[FrameArray]):
         self._blocks.close()
         if self._opened is not None:
             self._opened.close()
+
+    def _run_ahead(
+        self, file: BinaryIO, start: int, size: int, threads: int
+    ) -> Generator[FrameArray, None, None]:
+        """Yield the blocks that several threads make, and the last one as `_run` does."""
+        decoder, end = self.decoder, size - start
+        sink = _Fresh(decoder) if self._out is None else _Reused(decoder, self._out, self._offsets)
+        for _ in decoder.run_ahead(_view(file, start, size), end, sink, threads):
+            for block in sink.take(last=False):
+                self.bytes_done = decoder.stats.bytes_in
+                yield self._block(block, len(block))
+        self.bytes_done = decoder.stats.bytes_in
+        for block in sink.take(last=True):
+            yield self._block(block, len(block))
+        self._pieces = _map_pieces(file, start + self.bytes_done, size)
+        yield from self._run()
 
     def _run(self) -> Generator[FrameArray, None, None]:
         out, at = self._room()
@@ -148,6 +185,97 @@ class Blocks(Iterator[FrameArray]):
         # A block that is far from full would hold memory that nobody uses.
         wasteful = self._out is None and count < len(out) // 2
         return out[:count].copy() if wasteful else out[:count]
+
+
+class _Fresh:
+    """A new array for each block: a helper's as it is, or one that the caller fills."""
+
+    def __init__(self, decoder: Decoder) -> None:
+        self._make_chunk = decoder.make_chunk
+        self._blocks: deque[Future[FrameArray]] = deque()
+        self._out: FrameArray | None = None
+        self._count = 0
+
+    def chunk(self) -> Chunk:
+        return self._make_chunk(offsets=False)
+
+    def room(self) -> tuple[Pointer, int, Pointer]:
+        if self._out is None:
+            self._out, self._count = np.empty(BLOCK_FRAMES, FRAME_DTYPE), 0
+        return output_room(self._out, self._count, None)
+
+    def wrote(self, count: int) -> None:
+        self._count += count
+        if self._out is not None and self._count == len(self._out):
+            self._close()
+
+    def place(self, chunk: Chunk) -> Callable[[], None]:
+        self._close()
+        block: Future[FrameArray] = Future()
+        self._blocks.append(block)
+        return lambda: block.set_result(chunk.hand_over())
+
+    def take(self, *, last: bool) -> Iterator[FrameArray]:
+        """Yield the blocks that are ready, in order; the last time all."""
+        if last:
+            self._close()
+        while self._blocks and (last or self._blocks[0].done()):
+            block = self._blocks.popleft().result()
+            if len(block):
+                yield block
+
+    def _close(self) -> None:
+        if self._out is not None and self._count:
+            block: Future[FrameArray] = Future()
+            block.set_result(self._out[: self._count])
+            self._blocks.append(block)
+            self._out = None
+
+
+class _Reused:
+    """The caller's array, filled again and again."""
+
+    def __init__(self, decoder: Decoder, out: FrameArray, offsets: Offsets | None) -> None:
+        self._make_chunk = decoder.make_chunk
+        self._out, self._offsets = out, offsets
+        self._count = 0
+        # Of a helper's frames those that `out` had no room for.
+        self._rest = np.empty(0, FRAME_DTYPE)
+        self._rest_offsets = np.empty(0, np.int64)
+
+    def chunk(self) -> Chunk:
+        return self._make_chunk(offsets=self._offsets is not None)
+
+    def room(self) -> tuple[Pointer, int, Pointer]:
+        return output_room(self._out, self._count, self._offsets)
+
+    def wrote(self, count: int) -> None:
+        self._count += count
+
+    def place(self, chunk: Chunk) -> Callable[[], None]:
+        # Copied here and now: the helper may take its room again.
+        self._rest = chunk.hand_over()
+        if chunk.offsets is not None:
+            self._rest_offsets = chunk.offsets[: len(self._rest)].copy()
+        self._refill()
+        return lambda: None
+
+    def take(self, *, last: bool) -> Iterator[FrameArray]:
+        """Yield `out` as often as it is full, and the last time what is in it."""
+        while self._count == len(self._out) or (last and self._count):
+            block, self._count = self._out[: self._count], 0
+            yield block
+            self._refill()
+
+    def _refill(self) -> None:
+        begin = self._count
+        fits = min(len(self._rest), len(self._out) - begin)
+        self._out[begin : begin + fits] = self._rest[:fits]
+        self._rest = self._rest[fits:]
+        if self._offsets is not None:
+            self._offsets[begin : begin + fits] = self._rest_offsets[:fits]
+            self._rest_offsets = self._rest_offsets[fits:]
+        self._count += fits
 
 
 def read(
@@ -196,6 +324,21 @@ def _regular_size(file: BinaryIO) -> int | None:
     except (AttributeError, OSError):  # io.UnsupportedOperation is an OSError
         return None
     return status.st_size if stat.S_ISREG(status.st_mode) else None
+
+
+def _view(file: BinaryIO, start: int, size: int) -> View:
+    """Return what maps the bytes around a stretch of the stream that begins at `start`."""
+
+    def view(first: int, stop: int) -> tuple[Pointer, int, int]:
+        begin = max(start + first - RUN_UP, 0)
+        begin -= begin % mmap.ALLOCATIONGRANULARITY
+        end = min(start + stop + BEHIND, size)
+        piece = mmap.mmap(file.fileno(), end - begin, access=mmap.ACCESS_READ, offset=begin)
+        before = max(start - begin, 0)
+        data = input_bytes(memoryview(piece)[before:])
+        return data, len(data), begin + before - start
+
+    return view
 
 
 def _map_pieces(file: BinaryIO, start: int, size: int) -> Iterator[memoryview]:

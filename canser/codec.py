@@ -3,16 +3,17 @@
 import operator
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final, overload
+from typing import Final, Protocol, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from canser import _binding
-from canser._binding import BytesLike, Control, Offsets, Pointer
+from canser._binding import BEHIND, BytesLike, Chunk, Control, Offsets, Pointer
 from canser.frames import FRAME_DTYPE, FrameArray
+from canser.parallel import STRETCH, Ahead, View
 
 __all__ = ["TS_UNITS", "Control", "Decoder", "Stats", "decode", "encode", "protocols"]
 
@@ -191,7 +192,7 @@ class Decoder:
     ) -> tuple[int, int]:
         """Feed until all is taken or `target` is full; the lock is held."""
         used, count = self._stream.feed(source, source_len, target, cap, at)
-        while self._keep_controls() and used < source_len and count < cap:
+        while self._keep_controls(self._stream.controls()) and used < source_len and count < cap:
             more_used, more_count = self._stream.feed(
                 source + used, source_len - used, target + count, cap - count, at and at + count
             )
@@ -203,12 +204,11 @@ class Decoder:
         """Flush into `target`; the lock is held."""
         # The bytes held are fewer than the room for control packets.
         count = self._stream.flush(target, cap, at)
-        self._keep_controls()
+        self._keep_controls(self._stream.controls())
         return count
 
-    def _keep_controls(self) -> bool:
-        """Move what the last call left in C; True if there was anything."""
-        rows = self._stream.controls()
+    def _keep_controls(self, rows: npt.NDArray[np.void] | None) -> bool:
+        """Keep control packets for `take_controls`; True if there are any."""
         if rows is None:
             return False
         self._controls.append(rows)
@@ -219,64 +219,196 @@ class Decoder:
             self._controls_dropped += dropped
         return True
 
-    def _collect(self, source: Pointer, *, ends: bool) -> FrameArray:
-        """Decode all of `source` into a new array, of just the size; the lock is held."""
-        source_len = len(source)
-        none = _binding.output_offsets(None, 0)
-        cap = min(self._most_frames(source_len), _SMALL)
-        out = np.empty(cap, FRAME_DTYPE)
-        used = count = 0
-        while True:
-            target = _binding.output_frames(out)
-            more_used, more_count = self._feed(
-                source + used, source_len - used, target + count, cap - count, none
-            )
-            used += more_used
-            count += more_count
-            if used == source_len and ends and count < cap:
-                count += self._flush(target + count, cap - count, none)
-            if used == source_len and not (ends and self._stream.pending):
-                break
-            # Full. The frames so far tell how many there will be; where the rest is
-            # denser than they were, this happens again.
-            expected = int(count * (source_len / max(used, 1)) * 1.02) + _SMALL
-            cap = min(max(expected, 2 * count), count + self._most_frames(source_len - used))
-            larger = np.empty(cap, FRAME_DTYPE)
-            larger[:count] = out[:count]
-            out = larger
-        if cap <= _SMALL:
-            return out[:count].copy()
-        del target  # it holds the array, which may move when it shrinks
-        out.resize(count, refcheck=False)
-        return out
+    def make_chunk(self, *, offsets: bool) -> Chunk:
+        """Return room for any stretch that a helper decodes; for this package's own use."""
+        most = STRETCH // self._protocol.frame_min + 1
+        return Chunk(self._protocol, most, offsets=offsets)
 
-    def _fill(self, data: BytesLike, out: FrameArray, offsets: Offsets | None) -> tuple[int, int]:
-        """Decode all of `data` and its end into `out`.
+    def _collect(self, source: Pointer, *, ends: bool, threads: int = 1) -> FrameArray:
+        """Decode all of `source` into a new array, of just the size; the lock is held."""
+        sink = _Growing(self, self._stream, len(source))
+        self._run(source, sink, ends=ends, threads=threads)
+        return sink.result()
+
+    def _fill(
+        self, source: Pointer, out: FrameArray, offsets: Offsets | None, threads: int
+    ) -> tuple[int, int]:
+        """Decode all of `source` and its end into `out`.
 
         Returns the frames that are there, and those that it needs room for.
         """
-        source = _binding.input_bytes(data)
-        used, count = self.feed_into(data, out, offsets)
-        if used == len(source) and count < len(out):
-            rest = None if offsets is None else offsets[count:]
-            count += self.flush_into(out[count:], rest)
-        # What is left may be noise. If not, tell how much room all would take.
-        needed = count
-        spare = np.empty(min(self._most_frames(len(source) - used), _SMALL), FRAME_DTYPE)
-        target, none = _binding.output_frames(spare), _binding.output_offsets(None, 0)
-        while used < len(source):
-            more_used, more_count = self._feed(
-                source + used, len(source) - used, target, len(spare), none
-            )
-            used += more_used
-            needed += more_count
-        while self.pending:
-            needed += self.flush_into(spare)
-        return count, needed
+        _binding.output_frames(out)
+        _binding.output_offsets(offsets, len(out))
+        sink = _Fixed(self, out, offsets)
+        with self._lock:
+            self._run(source, sink, ends=True, threads=threads)
+        return min(sink.count, len(out)), sink.count
 
-    def _most_frames(self, source_len: int) -> int:
-        """Return room that is enough for so many bytes, whatever they are."""
-        return (source_len + self._stream.pending) // self._protocol.frame_min + 1
+    def _run(self, source: Pointer, sink: "Sink", *, ends: bool, threads: int = 1) -> None:
+        """Decode all of `source` into a sink; the lock is held."""
+        start = self._stream.position
+        if threads > 1:
+            view = (source, len(source), start)
+            end = start + len(source)
+            for _ in self.run_ahead(lambda _first, _stop: view, end, sink, threads):
+                pass
+        used = self._stream.position - start
+        while used < len(source):
+            target, cap, at = sink.room()
+            more, count = self._stream.feed(source + used, len(source) - used, target, cap, at)
+            self._keep_controls(self._stream.controls())
+            used += more
+            sink.wrote(count)
+        while ends and self._stream.pending:
+            target, cap, at = sink.room()
+            sink.wrote(self._flush(target, cap, at))
+
+    def run_ahead(self, view: View, end: int, sink: "Sink", threads: int) -> Iterator[None]:
+        """Decode up to near the stream offset `end` by several threads, into a sink.
+
+        For this package's own use, and for a stream that holds nothing and that nobody else
+        feeds. Yields whenever the sink may be emptied.
+        """
+        stream = self._stream
+        with Ahead(stream, view, end - BEHIND, sink.chunk, threads) as ahead:
+            for stretch in ahead:
+                if isinstance(stretch, Chunk):
+                    self._keep_controls(stretch.controls())
+                    ahead.deliver(sink.place(stretch))
+                    yield
+                    continue
+                data, data_len, offset = view(stream.position, stretch)
+                while (position := stream.position) < stretch:
+                    done = position - offset
+                    target, cap, at = sink.room()
+                    _, count = stream.advance(
+                        data + done, data_len - done, target, cap, at, stop=stretch - position
+                    )
+                    self._keep_controls(stream.controls())
+                    sink.wrote(count)
+                    yield
+
+
+class Sink(Protocol):
+    """Where frames go, in their order."""
+
+    def chunk(self) -> Chunk:
+        """Return room for a chunk that a helper decodes."""
+
+    def room(self) -> tuple[Pointer, int, Pointer]:
+        """Return where the next frames may be written, how many, and their offsets."""
+
+    def wrote(self, count: int) -> None:
+        """Take notice of frames that were written there."""
+
+    def place(self, chunk: Chunk) -> Callable[[], None]:
+        """Make room for a chunk's frames; return what brings them there."""
+
+
+class _Array:
+    """An array that frames are written into, by one thread or several."""
+
+    def __init__(self, decoder: Decoder, out: FrameArray, offsets: Offsets | None) -> None:
+        self.count = 0
+        self._make_chunk = decoder.make_chunk
+        self._out, self._offsets = out, offsets
+
+    def chunk(self) -> Chunk:
+        return self._make_chunk(offsets=self._offsets is not None)
+
+    def room(self) -> tuple[Pointer, int, Pointer]:
+        return _binding.output_room(self._out, self.count, self._offsets)
+
+    def wrote(self, count: int) -> None:
+        self.count += count
+
+
+class _Fixed(_Array):
+    """The caller's array. What is too much for it is counted only."""
+
+    _spare: FrameArray | None = None
+
+    def room(self) -> tuple[Pointer, int, Pointer]:
+        if self.count < len(self._out):
+            return super().room()
+        if self._spare is None:
+            self._spare = np.empty(_SMALL, FRAME_DTYPE)
+        return _binding.output_room(self._spare, 0, None)
+
+    def place(self, chunk: Chunk) -> Callable[[], None]:
+        begin = self.count
+        fits = max(min(chunk.count, len(self._out) - begin), 0)
+        self.count += chunk.count
+
+        def deliver() -> None:
+            if fits:
+                target, _, _ = _binding.output_room(self._out, begin, None)
+                chunk.deliver(target, fits)
+            if self._offsets is not None and chunk.offsets is not None:
+                self._offsets[begin : begin + fits] = chunk.offsets[:fits]
+
+        return deliver
+
+
+class _Growing(_Array):
+    """A new array that grows by what the bytes so far have held."""
+
+    def __init__(self, decoder: Decoder, stream: _binding.Stream, source_len: int) -> None:
+        self._stream = stream
+        self._start = stream.position
+        self._end = self._start + source_len
+        self._held = stream.pending
+        self._frame_min = stream.protocol.frame_min
+        self._copying = 0
+        self._copied = threading.Condition()
+        super().__init__(decoder, np.empty(min(self._most(), _SMALL), FRAME_DTYPE), None)
+
+    def room(self) -> tuple[Pointer, int, Pointer]:
+        if self.count == len(self._out):
+            self._grow(1)
+        return super().room()
+
+    def place(self, chunk: Chunk) -> Callable[[], None]:
+        if len(self._out) - self.count < chunk.count:
+            self._grow(chunk.count)
+        target, _, _ = super().room()
+        self.count += chunk.count
+        with self._copied:
+            self._copying += 1
+
+        def deliver() -> None:
+            chunk.deliver(target, chunk.count)
+            with self._copied:
+                self._copying -= 1
+                self._copied.notify_all()
+
+        return deliver
+
+    def result(self) -> FrameArray:
+        """Return the array, of just the size; it owns its memory."""
+        if len(self._out) <= _SMALL:
+            return self._out[: self.count].copy()
+        self._out.resize(self.count, refcheck=False)
+        return self._out
+
+    def _most(self) -> int:
+        """Return room that is enough for the bytes to come, whatever they are."""
+        to_come = self._end - self._stream.position + self._held
+        return to_come // self._frame_min + 1
+
+    def _grow(self, more: int) -> None:
+        # The frames so far tell how many there will be; where the rest is denser than
+        # they were, this happens again.
+        done = max(self._stream.position - self._start, 1)
+        count = self.count + more
+        expected = int(count * ((self._end - self._start) / done) * 1.02) + _SMALL
+        cap = min(max(expected, 2 * self.count), count + self._most())
+        larger = np.empty(cap, FRAME_DTYPE)
+        with self._copied:
+            while self._copying:
+                self._copied.wait()
+        larger[: self.count] = self._out[: self.count]
+        self._out = larger
 
 
 def decode(
@@ -294,20 +426,21 @@ def decode(
     numpy), read in place. Returns the frames, FRAME_DTYPE, shape (n,): a new array,
     or `out[:n]` where `out` is given. `offsets`: array of int64 or uint64, filled
     with the position of each frame's first byte. `ts_unit` as for `Decoder`. `threads`:
-    how many may work on it; the result is the same for any number, and so far one works.
+    how many may work on it; the result is the same for any number.
 
     ValueError if `out` or `offsets` is too small, with the number that is needed;
     other errors as for `Decoder.feed_into`. For the counters use a `Decoder`.
     """
     check_threads(threads)
     decoder = Decoder(protocol, ts_unit=ts_unit)
+    source = _binding.input_bytes(data)
     if out is None and offsets is None:
-        return decoder._collect(_binding.input_bytes(data), ends=True)
+        return decoder._collect(source, ends=True, threads=threads)
     name = "out"
     if out is None and offsets is not None:
         name, out = "offsets", np.empty(len(offsets), FRAME_DTYPE)
     assert out is not None
-    count, needed = decoder._fill(data, out, offsets)
+    count, needed = decoder._fill(source, out, offsets, threads)
     if needed > count:
         raise ValueError(
             f"{name} has room for {count} frames, but the data holds {needed}; "

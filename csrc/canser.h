@@ -34,6 +34,14 @@ extern "C" {
 /* The longest packet of any protocol, in bytes: the fixed packet of `seeed`. */
 #define CANSER_PACKET_MAX 20
 
+/* How much of the stream a chunk's guess reads before its stretch: a scan that starts
+ * anywhere falls into step with the true one within some packets, or never. In
+ * `cantalope`, which marks nothing, it mostly takes a few hundred bytes. */
+#define CANSER_RUN_UP 4096
+
+/* The bytes that must follow a position for canser_decoder_advance() to decide there. */
+#define CANSER_BEHIND 24
+
 /* Status codes: the caller's mistakes, found before a byte is touched. */
 enum {
     CANSER_OK = 0,
@@ -41,7 +49,8 @@ enum {
     CANSER_MISALIGNED = 2, /* an array does not lie on its element's alignment */
     CANSER_OVERLAP = 3,    /* an output shares bytes with the input or another output */
     CANSER_REFUSED = 4,    /* encode: the format cannot carry a frame */
-    CANSER_TICK = 5        /* tick_ns is less than 1 */
+    CANSER_TICK = 5,       /* tick_ns is less than 1 */
+    CANSER_APART = 6       /* join: the chunk does not begin where the stream stands */
 };
 
 /* Why no packet starts at a position. One skipped byte is one reject. */
@@ -146,6 +155,21 @@ typedef struct {
     size_t control_count;
 } canser_batch;
 
+/* A stretch of a stream that was decoded before anybody knew where its first packet
+ * starts: from a guess, to be joined to all that lies before it. That is how several
+ * threads decode one stream. Lives in the caller's memory; fields are the library's
+ * own but for the three that say so. */
+typedef struct {
+    uint64_t begin;      /* for the caller: the stream offset at which it starts, a guess */
+    uint64_t end;        /* for the caller: the stream offset behind it */
+    size_t frame_count;  /* for the caller: its frames */
+    canser_decoder tale; /* what it did, as a stream of its own, with times in ticks */
+    uint8_t skips_first; /* 1: no packet starts at `begin` */
+    size_t settled;      /* joined: from this frame on a time needs the shift only */
+    uint64_t shift;      /* joined: ticks to add */
+    int64_t tick_ns;     /* joined: then nanoseconds in a tick */
+} canser_chunk;
+
 /* What canser_encode did. */
 typedef struct {
     size_t frame_count; /* frames encoded: the index of the frame that stopped it */
@@ -184,6 +208,42 @@ int canser_decoder_init(canser_decoder *self, const canser_protocol *protocol, i
  * return on which the pointers to them are not NULL. */
 int canser_decoder_feed(canser_decoder *self, const uint8_t *data, size_t data_len,
                         canser_batch *batch, size_t *used);
+
+/* Decode the packets and skip the bytes that start in data[0..stop), and hold
+ * nothing: what starts there but ends behind it is taken whole, and nothing is taken
+ * of the last bytes of `data`, where a packet may not be whole. So the caller may go
+ * on at data[*used]. Otherwise, and in what it returns, as canser_decoder_feed; bytes
+ * that are still held are taken first, if `data` completes them. */
+int canser_decoder_advance(canser_decoder *self, const uint8_t *data, size_t data_len, size_t stop,
+                           canser_batch *batch, size_t *used);
+
+/* Decode what starts in data[first..stop) of a stream whose offset at data[0] is
+ * `offset`, from a guess where the first packet starts: a scan that begins some way
+ * before `first` mostly falls into step on the way. Ends early where an array of the
+ * batch is full, and before the last bytes of `data`, as canser_decoder_advance.
+ *
+ * The frames and offsets are in the batch, but not the times: canser_chunk_deliver()
+ * makes them when the chunk is joined. Returns CANSER_OK, or CANSER_NULL,
+ * CANSER_MISALIGNED or CANSER_OVERLAP before anything is done; with frame_cap 0 or
+ * control_cap 0 and no frame to guess by it is CANSER_NULL, too. */
+int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, const uint8_t *data,
+                        size_t data_len, size_t first, size_t stop, uint64_t offset,
+                        canser_batch *batch);
+
+/* Join a chunk to the stream: counters, clock, and the place where it stands, as if
+ * `self` had decoded those bytes. `frames` are the chunk's; the first few may get their
+ * times here. Takes the same time for any number of frames, unless the device clock
+ * leaps all the time. Returns CANSER_OK; CANSER_APART if the stream does not stand at
+ * chunk->begin, or holds bytes, or is of another protocol: nothing was changed then;
+ * CANSER_NULL. */
+int canser_decoder_join(canser_decoder *self, canser_chunk *chunk, canser_frame *frames);
+
+/* Copy frames[first..first + frame_count) of a joined chunk to `out`, with their times.
+ * Where they lie there already they get their times; otherwise the two must not overlap.
+ * Works on its own arguments alone: meanwhile the stream may go on. Returns CANSER_OK or
+ * CANSER_NULL. */
+int canser_chunk_deliver(const canser_chunk *self, const canser_frame *frames, size_t first,
+                         size_t frame_count, canser_frame *out);
 
 /* End the stream: a candidate that lacks bytes is a reject, and what is held is
  * scanned to its end. Call again while carry_len is not 0: an array of the

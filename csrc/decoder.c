@@ -131,8 +131,8 @@ static size_t scan_carry(canser_decoder *self, const uint8_t *data, size_t data_
     return end - held;
 }
 
-int canser_decoder_feed(canser_decoder *self, const uint8_t *data, size_t data_len,
-                        canser_batch *batch, size_t *used)
+int canser_decoder_advance(canser_decoder *self, const uint8_t *data, size_t data_len, size_t stop,
+                           canser_batch *batch, size_t *used)
 {
     if (used)
         *used = 0;
@@ -144,39 +144,48 @@ int canser_decoder_feed(canser_decoder *self, const uint8_t *data, size_t data_l
     if (!batch->frame_cap)
         return CANSER_OK;
 
-    const struct canser_codec *const codec = self->protocol->codec;
     const uint64_t offset = self->stats.bytes_in; /* of data[0] */
     size_t pos = 0;
 
-    if (self->carry_len) {
+    if (self->carry_len)
         pos = scan_carry(self, data, data_len, batch, offset - self->carry_len, SCAN_EDGE);
-        if (self->carry_len) {
-            self->stats.bytes_in += pos;
-            *used = pos;
-            return CANSER_OK;
-        }
-    }
-    if (data_len - pos >= SCAN_WINDOW)
-        pos = codec
-                  ->scan(self, data, pos, data_len - SCAN_WINDOW + 1, data_len, offset, batch,
+    if (!self->carry_len && data_len - pos >= SCAN_WINDOW) {
+        const size_t body = data_len - SCAN_WINDOW + 1;
+
+        pos = self->protocol->codec
+                  ->scan(self, data, pos, body < stop ? body : stop, data_len, offset, batch,
                          SCAN_BODY)
                   .pos;
-    if (data_len - pos < SCAN_WINDOW && pos < data_len) {
-        uint8_t tail[2 * SCAN_WINDOW] = {0};
-        const size_t tail_len = data_len - pos;
-
-        memcpy(tail, data + pos, tail_len);
-        const scan_stop at =
-            codec->scan(self, tail, 0, tail_len, tail_len, offset + pos, batch, SCAN_EDGE);
-        pos += at.pos;
-        if (at.wants_more) {
-            self->carry_len = (uint8_t)(tail_len - at.pos);
-            memcpy(self->carry, tail + at.pos, self->carry_len);
-            pos = data_len;
-        }
     }
     self->stats.bytes_in += pos;
     *used = pos;
+    return CANSER_OK;
+}
+
+int canser_decoder_feed(canser_decoder *self, const uint8_t *data, size_t data_len,
+                        canser_batch *batch, size_t *used)
+{
+    const int status = canser_decoder_advance(self, data, data_len, data_len, batch, used);
+    if (status || !batch->frame_cap)
+        return status;
+
+    const size_t pos = *used;
+    const size_t tail_len = data_len - pos;
+    if (!self->carry_len && tail_len && tail_len < SCAN_WINDOW) {
+        uint8_t tail[2 * SCAN_WINDOW] = {0};
+
+        memcpy(tail, data + pos, tail_len);
+        const scan_stop at = self->protocol->codec->scan(self, tail, 0, tail_len, tail_len,
+                                                         self->stats.bytes_in, batch, SCAN_EDGE);
+        size_t taken = at.pos;
+        if (at.wants_more) {
+            self->carry_len = (uint8_t)(tail_len - at.pos);
+            memcpy(self->carry, tail + at.pos, self->carry_len);
+            taken = tail_len;
+        }
+        self->stats.bytes_in += taken;
+        *used += taken;
+    }
     return CANSER_OK;
 }
 

@@ -70,7 +70,7 @@ typedef struct {
 /* The bytes that may be read behind any candidate, whether they belong to the
  * stream or are padding: the longest packet, the longest wide load, and what a
  * probe looks at before it knows that the dlc is good. */
-enum { SCAN_WINDOW = 24 };
+enum { SCAN_WINDOW = CANSER_BEHIND };
 _Static_assert(SCAN_WINDOW >= CANSER_PACKET_MAX, "a whole packet fits the window");
 
 /* What a probe says of one position. */

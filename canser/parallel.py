@@ -1,0 +1,187 @@
+"""Threads that decode ahead of a stream: from a guess, to be joined when it comes there.
+
+The calling thread decodes, straight to where the frames are wanted. Meanwhile each
+helper takes a stretch some way ahead, guesses where its first packet starts, and
+decodes into room of its own. When the stream comes there, the stretch is joined, if it
+starts where the stream stands: then it is right, and that takes as long for many frames
+as for few. If not, it is thrown away, and the calling thread decodes it like any other.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Self
+
+from canser._binding import Chunk, Pointer, Stream
+
+__all__ = ["STRETCH", "Ahead", "View"]
+
+# Bytes that a helper takes at a time: long against what that costs in Python, short
+# against a cache.
+STRETCH = 1 << 20
+
+# Towards the end the helpers take less, so that all end together; this at least.
+_STRETCH_LEAST = 1 << 16
+
+# So many lengths of its stretch a helper stays ahead: when it is done, the caller is not
+# yet there.
+_LEAD = 2
+
+# After a wrong guess the helpers rest for 1, 2, 4 ... so many stretches: input on which
+# no guess is right takes hardly longer than by one thread.
+_REST_MOST = 64
+
+# The bytes around a stretch: a pointer to some, how many, and the stream offset of the
+# first. What lies before and behind the stretch helps to guess and ends its last packet.
+View = Callable[[int, int], tuple[Pointer, int, int]]
+
+
+class _Claim:
+    """A stretch that a helper has taken, and what became of it."""
+
+    def __init__(self, first: int, stop: int, chunk: Chunk) -> None:
+        self.first, self.stop, self.chunk = first, stop, chunk
+        self.decoded = False
+        self.decided = False
+        self.deliver: Callable[[], None] | None = None
+
+
+class Ahead:
+    """Helpers that decode ahead of `stream`, up to the stream offset `end`.
+
+    Iterate over it: each item is a stream offset, and the caller must decode from where
+    the stream stands up to there, or a chunk that was joined to the stream, and the
+    caller must say by `deliver` what makes its frames good. A context manager; when it
+    is left, all is delivered.
+    """
+
+    def __init__(
+        self,
+        stream: Stream,
+        view: View,
+        end: int,
+        make_chunk: Callable[[], Chunk],
+        threads: int,
+    ) -> None:
+        self._stream, self._view, self._end = stream, view, end
+        self._make_chunk = make_chunk
+        self._threads = threads
+        self._changed = threading.Condition()
+        self._claims: deque[_Claim] = deque()
+        self._joined: _Claim | None = None
+        # The caller decodes what lies between these, and no helper takes it.
+        self._from = self._stop = stream.position
+        self._rest = 0  # stretches to rest after the next wrong guess, halved
+        self._resting_to = 0
+        self._closed = False
+        self._failure: BaseException | None = None
+        self._helpers = [
+            threading.Thread(target=self._help, name="canser", daemon=True)
+            for _ in range(min(threads - 1, (end - self._from) // _STRETCH_LEAST))
+        ]
+
+    def __enter__(self) -> Self:
+        for helper in self._helpers:
+            helper.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        for helper in self._helpers:
+            helper.join()
+        if self._failure is not None:
+            raise self._failure
+
+    def __iter__(self) -> Iterator[int | Chunk]:
+        while (position := self._stream.position) < self._end and self._failure is None:
+            with self._changed:
+                claim = self._claims[0] if self._claims else None
+                if claim is None or position < claim.first:
+                    stop = min(position + STRETCH, claim.first if claim else self._end)
+                    self._from, self._stop = position, stop
+                    self._changed.notify_all()
+                else:
+                    while not claim.decoded:
+                        self._changed.wait()
+                    self._claims.popleft()
+            if claim is None or position < claim.first:
+                yield stop
+            elif self._stream.join(claim.chunk):
+                self._rest = 0
+                self._joined = claim
+                yield claim.chunk
+            else:
+                self._rest = min(2 * self._rest or 1, _REST_MOST)
+                self._resting_to = position + self._rest * STRETCH
+                self._decide(claim, None)
+
+    def deliver(self, copy: Callable[[], None]) -> None:
+        """Let the helper do `copy` for the chunk that was joined last; it may take a while."""
+        assert self._joined is not None
+        self._decide(self._joined, copy)
+
+    def _decide(self, claim: _Claim, deliver: Callable[[], None] | None) -> None:
+        with self._changed:
+            claim.deliver, claim.decided = deliver, True
+            self._changed.notify_all()
+
+    def _claim(self, chunk: Chunk, *, wait: bool) -> _Claim | None:
+        """Take a stretch so far ahead that the caller comes there when it is decoded."""
+        with self._changed:
+            while not self._closed:
+                left = self._end - self._from
+                length = min(STRETCH, max(left // (self._threads + 2), _STRETCH_LEAST))
+                # The caller leaps over what others have taken.
+                taken = sum(claim.stop - claim.first for claim in self._claims)
+                first = max(self._from + taken + _LEAD * length, self._stop)
+                if self._claims:
+                    first = max(first, self._claims[-1].stop)
+                if first + length > self._end:
+                    return None
+                if first >= self._resting_to:
+                    claim = _Claim(first, first + length, chunk)
+                    self._claims.append(claim)
+                    return claim
+                if not wait:
+                    return None
+                self._changed.wait()
+        return None
+
+    def _help(self) -> None:
+        try:
+            spare = [self._make_chunk(), self._make_chunk()]
+            mine: deque[_Claim] = deque()
+            while True:
+                claim = self._claim(spare[-1], wait=not mine) if spare else None
+                if claim is not None:
+                    spare.pop()
+                    mine.append(claim)
+                    data, data_len, offset = self._view(claim.first, claim.stop)
+                    claim.chunk.decode(
+                        data, data_len, claim.first - offset, claim.stop - offset, offset
+                    )
+                    with self._changed:
+                        claim.decoded = True
+                        self._changed.notify_all()
+                elif not mine:
+                    return
+                # With no room left, or nothing to take, there is time to wait.
+                while mine and self._is_decided(mine[0], wait=claim is None or not spare):
+                    done = mine.popleft()
+                    if done.deliver is not None:
+                        done.deliver()
+                    spare.append(done.chunk)
+        except BaseException as failure:  # noqa: BLE001 - raised again by the caller's thread
+            with self._changed:
+                self._failure = failure
+                for claim in self._claims:
+                    claim.decoded = True
+                self._changed.notify_all()
+
+    def _is_decided(self, claim: _Claim, *, wait: bool) -> bool:
+        with self._changed:
+            while wait and not (claim.decided or self._closed):
+                self._changed.wait()
+            return claim.decided or self._closed
