@@ -4,10 +4,11 @@ Nothing of cffi leaves this module but opaque pointers. Every check that C canno
 make is made here, before a byte is touched; alignment and overlap are C's.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, cast
+from weakref import ref
 
 import numpy as np
 import numpy.typing as npt
@@ -125,6 +126,9 @@ def _check_bytes(data: BytesLike) -> memoryview:
 
 def input_bytes(data: BytesLike) -> Pointer:
     """Return a pointer to the caller's bytes, no copy; it holds the buffer."""
+    # What nothing can be wrong with goes the short way.
+    if type(data) is bytes:
+        return ffi.from_buffer("uint8_t[]", data)
     return ffi.from_buffer("uint8_t[]", _check_bytes(data))
 
 
@@ -209,6 +213,22 @@ def _raise_status(status: int) -> None:
     raise AssertionError(f"canser's C core returned the status {status}")
 
 
+# A batch counted in words, and where in it the counts lie: frames, then control packets.
+_BATCH_WORDS: Final = ffi.sizeof("canser_batch") // ffi.sizeof("size_t")
+_FOUND_WORD: Final = ffi.offsetof("canser_batch", "frame_count") // ffi.sizeof("size_t")
+assert ffi.offsetof("canser_batch", "control_count") == (_FOUND_WORD + 1) * ffi.sizeof("size_t")
+assert _BATCH_WORDS == _FOUND_WORD + 2
+
+
+def _nowhere() -> object:
+    """Stand in for a reference to `out`: to no array at all."""
+    return _nowhere
+
+
+def _nothing() -> None:
+    """Stand in for a reference to `offsets`: none are asked for."""
+
+
 class Stream:
     """The state of one stream in C, with room for its control packets.
 
@@ -219,43 +239,72 @@ class Stream:
         self.protocol = protocol
         self._tick_ns = tick_ns
         self._state = ffi.new("canser_decoder *")
-        self._used = ffi.new("size_t *")
-        self._batch = ffi.new("canser_batch *")
+        # The batch and the bytes used, in one piece: what a call has found is read at
+        # once, for each read costs as much as the decoding of some frames.
+        self._memory = ffi.new("size_t[]", _BATCH_WORDS + 1)
+        self._batch = ffi.cast("canser_batch *", self._memory)
+        self._used = self._memory + _BATCH_WORDS
+        self._found = self._memory + _FOUND_WORD
         self._controls = np.zeros(_CONTROL_CAP, _CONTROL_DTYPE)
         self._batch.controls = self._controls_at = ffi.from_buffer(
             "canser_control[]", self._controls
         )
         self._batch.control_cap = _CONTROL_CAP
+        # Where the last call's frames went, held by nobody here.
+        self._out: Callable[[], object] = _nowhere
+        self._offsets: Callable[[], object] = _nothing
+        self._cap = self._offset_cap = 0
+        self.aim_at(ffi.NULL, 0, ffi.NULL)
         self.reset()
+
+    def aim(self, out: FrameArray, offsets: Offsets | None) -> None:
+        """Check the arrays that frames and offsets go to.
+
+        They are mostly those of last time. Then that takes a tenth of the time: what may
+        have become of them since is asked, and no pointer is made anew.
+        """
+        if (
+            out is self._out()
+            and offsets is self._offsets()
+            and len(out) == self._cap
+            and out.flags.writeable
+            and (offsets is None or (offsets.flags.writeable and len(offsets) == self._offset_cap))
+        ):
+            return
+        self.aim_at(output_frames(out), len(out), output_offsets(offsets, len(out)))
+        self._out, self._cap = ref(out), len(out)
+        if offsets is not None:
+            self._offsets, self._offset_cap = ref(offsets), len(offsets)
+
+    def aim_at(self, out: Pointer, cap: int, at: Pointer) -> None:
+        """Tell where frames and offsets go by pointers, which must stay good."""
+        batch = self._batch
+        batch.frames, batch.frame_cap, batch.offsets = out, cap, at
+        self._out, self._offsets = _nowhere, _nothing
 
     def reset(self) -> None:
         """Start anew: counters zero, nothing held, the clock not started."""
         lib.canser_decoder_init(self._state, self.protocol.row, self._tick_ns)
 
-    def feed(
-        self, data: Pointer, data_len: int, out: Pointer, cap: int, at: Pointer
-    ) -> tuple[int, int]:
-        """Decode bytes into `out`; returns the bytes used and the frames found.
+    def feed(self, data: Pointer, data_len: int) -> list[int]:
+        """Decode bytes; return the frames and control packets found, and the bytes used.
 
-        Stops early where `out` or the room for control packets is full.
+        Stops early where the room for frames or for control packets is full.
         """
-        batch = self._batch
-        batch.frames, batch.frame_cap, batch.offsets = out, cap, at
-        status = lib.canser_decoder_feed(self._state, data, data_len, batch, self._used)
+        status = lib.canser_decoder_feed(self._state, data, data_len, self._batch, self._used)
         if status:
             _raise_status(status)
-        return self._used[0], batch.frame_count
+        found: list[int] = ffi.unpack(self._found, 3)
+        return found
 
-    def advance(
-        self, data: Pointer, data_len: int, out: Pointer, cap: int, at: Pointer, *, stop: int
-    ) -> tuple[int, int]:
-        """Decode as `feed` does what starts before `stop`, and hold nothing."""
-        batch = self._batch
-        batch.frames, batch.frame_cap, batch.offsets = out, cap, at
-        status = lib.canser_decoder_advance(self._state, data, data_len, stop, batch, self._used)
+    def advance(self, data: Pointer, data_len: int, stop: int) -> int:
+        """Decode as `feed` does what starts before `stop`, hold nothing; return the frames."""
+        status = lib.canser_decoder_advance(
+            self._state, data, data_len, stop, self._batch, self._used
+        )
         if status:
             _raise_status(status)
-        return self._used[0], batch.frame_count
+        return int(self._batch.frame_count)
 
     def join(self, chunk: "Chunk") -> bool:
         """Go on over a chunk, if it starts where the stream stands; else return False."""
@@ -266,14 +315,12 @@ class Stream:
             _raise_status(status)
         return True
 
-    def flush(self, out: Pointer, cap: int, at: Pointer) -> int:
-        """End the stream; returns the frames. Again while bytes are pending."""
-        batch = self._batch
-        batch.frames, batch.frame_cap, batch.offsets = out, cap, at
-        status = lib.canser_decoder_flush(self._state, batch)
+    def flush(self) -> int:
+        """End the stream; return the frames. Again while bytes are pending."""
+        status = lib.canser_decoder_flush(self._state, self._batch)
         if status:
             _raise_status(status)
-        return int(batch.frame_count)
+        return int(self._batch.frame_count)
 
     def controls(self) -> npt.NDArray[np.void] | None:
         """Return a copy of the control packets of the last call, None for none."""

@@ -125,11 +125,14 @@ class Decoder:
         alignment, or memory that overlaps; BufferError for what is read-only or
         not contiguous. After an error nothing was taken.
         """
-        source = _binding.input_bytes(data)
-        target = _binding.output_frames(out)
-        at = _binding.output_offsets(offsets, len(out))
+        source = data if type(data) is bytes else _binding.input_bytes(data)
+        stream = self._stream
         with self._lock:
-            return self._feed(source, len(source), target, len(out), at)
+            stream.aim(out, offsets)
+            count, controls, used = stream.feed(source, len(source))
+            if controls:
+                return self._feed_on(source, out, offsets, used, count)
+        return used, count
 
     def flush(self) -> FrameArray:
         """End the stream: scan what is held; return the last frames.
@@ -147,10 +150,12 @@ class Decoder:
         Call again while `pending` is not 0: `out` was full. `out`, `offsets` and
         errors as in `feed_into`.
         """
-        target = _binding.output_frames(out)
-        at = _binding.output_offsets(offsets, len(out))
         with self._lock:
-            return self._flush(target, len(out), at)
+            self._stream.aim(out, offsets)
+            # The bytes held are fewer than the room for control packets.
+            count = self._stream.flush()
+            self._keep_controls()
+        return count
 
     def reset(self) -> None:
         """Forget everything: counters zero, nothing held, no control packets."""
@@ -187,28 +192,21 @@ class Decoder:
         """Control packets that were not taken in time, and are counted only."""
         return self._controls_dropped
 
-    def _feed(
-        self, source: Pointer, source_len: int, target: Pointer, cap: int, at: Pointer
+    def _feed_on(
+        self, data: BytesLike, out: FrameArray, offsets: Offsets | None, used: int, count: int
     ) -> tuple[int, int]:
-        """Feed until all is taken or `target` is full; the lock is held."""
-        used, count = self._stream.feed(source, source_len, target, cap, at)
-        while self._keep_controls(self._stream.controls()) and used < source_len and count < cap:
-            more_used, more_count = self._stream.feed(
-                source + used, source_len - used, target + count, cap - count, at and at + count
-            )
+        """Go on after control packets, whose room may have been full; the lock is held."""
+        source = _binding.input_bytes(data)
+        while self._keep_controls() and used < len(source) and count < len(out):
+            self._stream.aim_at(*_binding.output_room(out, count, offsets))
+            more_count, _, more_used = self._stream.feed(source + used, len(source) - used)
             used += more_used
             count += more_count
         return used, count
 
-    def _flush(self, target: Pointer, cap: int, at: Pointer) -> int:
-        """Flush into `target`; the lock is held."""
-        # The bytes held are fewer than the room for control packets.
-        count = self._stream.flush(target, cap, at)
-        self._keep_controls(self._stream.controls())
-        return count
-
-    def _keep_controls(self, rows: npt.NDArray[np.void] | None) -> bool:
-        """Keep control packets for `take_controls`; True if there are any."""
+    def _keep_controls(self, chunk: Chunk | None = None) -> bool:
+        """Keep what the last call, or a chunk, has found; True if there is anything."""
+        rows = (chunk or self._stream).controls()
         if rows is None:
             return False
         self._controls.append(rows)
@@ -254,14 +252,16 @@ class Decoder:
                 pass
         used = self._stream.position - start
         while used < len(source):
-            target, cap, at = sink.room()
-            more, count = self._stream.feed(source + used, len(source) - used, target, cap, at)
-            self._keep_controls(self._stream.controls())
+            self._stream.aim_at(*sink.room())
+            count, _, more = self._stream.feed(source + used, len(source) - used)
+            self._keep_controls()
             used += more
             sink.wrote(count)
         while ends and self._stream.pending:
-            target, cap, at = sink.room()
-            sink.wrote(self._flush(target, cap, at))
+            self._stream.aim_at(*sink.room())
+            count = self._stream.flush()
+            self._keep_controls()
+            sink.wrote(count)
 
     def run_ahead(self, view: View, end: int, sink: "Sink", threads: int) -> Iterator[None]:
         """Decode up to near the stream offset `end` by several threads, into a sink.
@@ -273,18 +273,16 @@ class Decoder:
         with Ahead(stream, view, end - BEHIND, sink.chunk, threads) as ahead:
             for stretch in ahead:
                 if isinstance(stretch, Chunk):
-                    self._keep_controls(stretch.controls())
+                    self._keep_controls(stretch)
                     ahead.deliver(sink.place(stretch))
                     yield
                     continue
                 data, data_len, offset = view(stream.position, stretch)
                 while (position := stream.position) < stretch:
                     done = position - offset
-                    target, cap, at = sink.room()
-                    _, count = stream.advance(
-                        data + done, data_len - done, target, cap, at, stop=stretch - position
-                    )
-                    self._keep_controls(stream.controls())
+                    stream.aim_at(*sink.room())
+                    count = stream.advance(data + done, data_len - done, stretch - position)
+                    self._keep_controls()
                     sink.wrote(count)
                     yield
 
