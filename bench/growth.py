@@ -20,7 +20,7 @@ import numpy as np
 import canser
 import data
 from hostile import PATTERN, Bytes, hostile, noisy, tiled
-from speed import machine
+from measure import machine
 
 SMALLEST, LARGEST = 1 << 10, 1 << 30
 OUT_FRAMES = 1 << 20

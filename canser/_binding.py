@@ -32,9 +32,7 @@ for _name, _field in ffi.typeof("canser_frame").fields:
     assert FRAME_DTYPE.fields[_name][0].itemsize == ffi.sizeof(_field.type)
 assert FRAME_DTYPE.itemsize == ffi.sizeof("canser_frame")
 
-# What a chunk's guess reads before its stretch, and what must lie behind a packet's first
-# byte for it to be taken.
-RUN_UP: Final = int(lib.CANSER_RUN_UP)
+# The bytes behind a packet's first one without which it is not taken.
 BEHIND: Final = int(lib.CANSER_BEHIND)
 
 # How many control packets C may leave before it must ask for room again.
@@ -359,15 +357,15 @@ class Chunk:
         self._controls = np.empty(_CONTROL_CAP, _CONTROL_DTYPE)
         self.state = ffi.new("canser_chunk *")
         self._batch = ffi.new("canser_batch *")
-        self._take_room()
+        self._take_room(self.make_room())
         if self.offsets is not None:
             # The pointer in a struct holds nothing: the array is held here.
             self._batch.offsets = ffi.from_buffer("int64_t[]", self.offsets)
         self._batch.controls = ffi.from_buffer("canser_control[]", self._controls)
         self._batch.control_cap = _CONTROL_CAP
 
-    def _take_room(self) -> None:
-        self.frames = np.empty(self._cap, FRAME_DTYPE)
+    def _take_room(self, room: FrameArray) -> None:
+        self.frames = room
         self.frames_at = ffi.from_buffer("canser_frame[]", self.frames)
         self._batch.frames, self._batch.frame_cap = self.frames_at, self._cap
 
@@ -393,11 +391,15 @@ class Chunk:
         """Copy `count` frames of the joined chunk to `out`, with their times."""
         lib.canser_chunk_deliver(self.state, self.frames_at, first, count, out)
 
-    def hand_over(self) -> FrameArray:
+    def make_room(self) -> FrameArray:
+        """Return an array with as much room as this has."""
+        return np.empty(self._cap, FRAME_DTYPE)
+
+    def hand_over(self, room: FrameArray) -> FrameArray:
         """Return the frames of the joined chunk, with their times, and take new room."""
         frames = self.frames[: self.count]
         self.deliver(self.frames_at, self.count)
-        self._take_room()
+        self._take_room(room)
         return frames
 
 

@@ -12,8 +12,6 @@ from typing import BinaryIO, Self, cast
 import numpy as np
 
 from canser._binding import (
-    BEHIND,
-    RUN_UP,
     BytesLike,
     Chunk,
     Offsets,
@@ -23,7 +21,6 @@ from canser._binding import (
 )
 from canser.codec import Decoder, check_threads, decode
 from canser.frames import FRAME_DTYPE, FrameArray
-from canser.parallel import View
 
 __all__ = ["Blocks", "Source", "blocks", "read"]
 
@@ -132,13 +129,19 @@ class Blocks(Iterator[FrameArray]):
         self, file: BinaryIO, start: int, size: int, threads: int
     ) -> Generator[FrameArray, None, None]:
         """Yield the blocks that several threads make, and the last one as `_run` does."""
-        decoder, end = self.decoder, size - start
+        decoder = self.decoder
         sink = _Fresh(decoder) if self._out is None else _Reused(decoder, self._out, self._offsets)
-        for _ in decoder.run_ahead(_view(file, start, size), end, sink, threads):
+        # One map for all threads; its pages are given back as the stream goes by.
+        whole = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
+        kept = start - start % _WINDOW
+        for _ in decoder.run_ahead(input_bytes(memoryview(whole)[start:]), sink, threads):
+            self.bytes_done = decoder.position
             for block in sink.take(last=False):
-                self.bytes_done = decoder.stats.bytes_in
                 yield self._block(block, len(block))
-        self.bytes_done = decoder.stats.bytes_in
+            if start + self.bytes_done - kept > 2 * _WINDOW and hasattr(mmap, "MADV_DONTNEED"):
+                whole.madvise(mmap.MADV_DONTNEED, kept, _WINDOW)
+                kept += _WINDOW
+        self.bytes_done = decoder.position
         for block in sink.take(last=True):
             yield self._block(block, len(block))
         self._pieces = _map_pieces(file, start + self.bytes_done, size)
@@ -213,7 +216,9 @@ class _Fresh:
         self._close()
         block: Future[FrameArray] = Future()
         self._blocks.append(block)
-        return lambda: block.set_result(chunk.hand_over())
+        # Made here, for memory that this thread has freed is taken again; a helper's is not.
+        room = chunk.make_room()
+        return lambda: block.set_result(chunk.hand_over(room))
 
     def take(self, *, last: bool) -> Iterator[FrameArray]:
         """Yield the blocks that are ready, in order; the last time all."""
@@ -254,7 +259,7 @@ class _Reused:
 
     def place(self, chunk: Chunk) -> Callable[[], None]:
         # Copied here and now: the helper may take its room again.
-        self._rest = chunk.hand_over()
+        self._rest = chunk.hand_over(chunk.make_room())
         if chunk.offsets is not None:
             self._rest_offsets = chunk.offsets[: len(self._rest)].copy()
         self._refill()
@@ -324,21 +329,6 @@ def _regular_size(file: BinaryIO) -> int | None:
     except (AttributeError, OSError):  # io.UnsupportedOperation is an OSError
         return None
     return status.st_size if stat.S_ISREG(status.st_mode) else None
-
-
-def _view(file: BinaryIO, start: int, size: int) -> View:
-    """Return what maps the bytes around a stretch of the stream that begins at `start`."""
-
-    def view(first: int, stop: int) -> tuple[Pointer, int, int]:
-        begin = max(start + first - RUN_UP, 0)
-        begin -= begin % mmap.ALLOCATIONGRANULARITY
-        end = min(start + stop + BEHIND, size)
-        piece = mmap.mmap(file.fileno(), end - begin, access=mmap.ACCESS_READ, offset=begin)
-        before = max(start - begin, 0)
-        data = input_bytes(memoryview(piece)[before:])
-        return data, len(data), begin + before - start
-
-    return view
 
 
 def _map_pieces(file: BinaryIO, start: int, size: int) -> Iterator[memoryview]:

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from canser import _binding
-from canser._binding import BEHIND, BytesLike, Chunk, Control, Offsets, Pointer
+from canser._binding import BytesLike, Chunk, Control, Offsets, Pointer
 from canser.frames import FRAME_DTYPE, FrameArray
-from canser.parallel import STRETCH, Ahead, View
+from canser.parallel import STRETCH, Ahead
 
 __all__ = ["TS_UNITS", "Control", "Decoder", "Stats", "decode", "encode", "protocols"]
 
@@ -131,7 +131,7 @@ class Decoder:
             stream.aim(out, offsets)
             count, controls, used = stream.feed(source, len(source))
             if controls:
-                return self._feed_on(source, out, offsets, used, count)
+                return self._feed_on(_binding.input_bytes(data), out, offsets, used, count)
         return used, count
 
     def flush(self) -> FrameArray:
@@ -171,6 +171,11 @@ class Decoder:
             return Stats(**self._stream.counters())
 
     @property
+    def position(self) -> int:
+        """The stream offset behind all bytes taken."""
+        return self._stream.position
+
+    @property
     def pending(self) -> int:
         """Bytes held: the start of a packet that is not whole yet."""
         return self._stream.pending
@@ -193,10 +198,9 @@ class Decoder:
         return self._controls_dropped
 
     def _feed_on(
-        self, data: BytesLike, out: FrameArray, offsets: Offsets | None, used: int, count: int
+        self, source: Pointer, out: FrameArray, offsets: Offsets | None, used: int, count: int
     ) -> tuple[int, int]:
         """Go on after control packets, whose room may have been full; the lock is held."""
-        source = _binding.input_bytes(data)
         while self._keep_controls() and used < len(source) and count < len(out):
             self._stream.aim_at(*_binding.output_room(out, count, offsets))
             more_count, _, more_used = self._stream.feed(source + used, len(source) - used)
@@ -246,9 +250,7 @@ class Decoder:
         """Decode all of `source` into a sink; the lock is held."""
         start = self._stream.position
         if threads > 1:
-            view = (source, len(source), start)
-            end = start + len(source)
-            for _ in self.run_ahead(lambda _first, _stop: view, end, sink, threads):
+            for _ in self.run_ahead(source, sink, threads):
                 pass
         used = self._stream.position - start
         while used < len(source):
@@ -263,25 +265,24 @@ class Decoder:
             self._keep_controls()
             sink.wrote(count)
 
-    def run_ahead(self, view: View, end: int, sink: "Sink", threads: int) -> Iterator[None]:
-        """Decode up to near the stream offset `end` by several threads, into a sink.
+    def run_ahead(self, source: Pointer, sink: "Sink", threads: int) -> Iterator[None]:
+        """Decode all of `source` but its last bytes by several threads, into a sink.
 
         For this package's own use, and for a stream that holds nothing and that nobody else
         feeds. Yields whenever the sink may be emptied.
         """
-        stream = self._stream
-        with Ahead(stream, view, end - BEHIND, sink.chunk, threads) as ahead:
+        stream, start, source_len = self._stream, self._stream.position, len(source)
+        with Ahead(stream, source, source_len, sink.chunk, threads) as ahead:
             for stretch in ahead:
                 if isinstance(stretch, Chunk):
                     self._keep_controls(stretch)
                     ahead.deliver(sink.place(stretch))
                     yield
                     continue
-                data, data_len, offset = view(stream.position, stretch)
                 while (position := stream.position) < stretch:
-                    done = position - offset
+                    done = position - start
                     stream.aim_at(*sink.room())
-                    count = stream.advance(data + done, data_len - done, stretch - position)
+                    count = stream.advance(source + done, source_len - done, stretch - position)
                     self._keep_controls()
                     sink.wrote(count)
                     yield

@@ -12,9 +12,9 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Self
 
-from canser._binding import Chunk, Pointer, Stream
+from canser._binding import BEHIND, Chunk, Pointer, Stream
 
-__all__ = ["STRETCH", "Ahead", "View"]
+__all__ = ["STRETCH", "Ahead"]
 
 # Bytes that a helper takes at a time: long against what that costs in Python, short
 # against a cache.
@@ -31,10 +31,6 @@ _LEAD = 2
 # no guess is right takes hardly longer than by one thread.
 _REST_MOST = 64
 
-# The bytes around a stretch: a pointer to some, how many, and the stream offset of the
-# first. What lies before and behind the stretch helps to guess and ends its last packet.
-View = Callable[[int, int], tuple[Pointer, int, int]]
-
 
 class _Claim:
     """A stretch that a helper has taken, and what became of it."""
@@ -45,26 +41,31 @@ class _Claim:
         self.decided = False
         self.deliver: Callable[[], None] | None = None
 
+    def decode(self, data: Pointer, data_len: int, start: int) -> None:
+        """Decode it; `start` is the stream offset of the data."""
+        self.chunk.decode(data, data_len, self.first - start, self.stop - start, start)
+
 
 class Ahead:
-    """Helpers that decode ahead of `stream`, up to the stream offset `end`.
+    """Helpers that decode `data` ahead of a stream that stands at its begin, holding nothing.
 
     Iterate over it: each item is a stream offset, and the caller must decode from where
     the stream stands up to there, or a chunk that was joined to the stream, and the
-    caller must say by `deliver` what makes its frames good. A context manager; when it
-    is left, all is delivered.
+    caller must say by `deliver` what makes its frames good. It ends before the last bytes,
+    where a packet may not be whole. A context manager; when it is left, all is delivered.
     """
 
     def __init__(
         self,
         stream: Stream,
-        view: View,
-        end: int,
+        data: Pointer,
+        data_len: int,
         make_chunk: Callable[[], Chunk],
         threads: int,
     ) -> None:
-        self._stream, self._view, self._end = stream, view, end
-        self._make_chunk = make_chunk
+        self._stream, self._make_chunk = stream, make_chunk
+        self._data, self._data_len, self._start = data, data_len, stream.position
+        self._end = self._start + data_len - BEHIND
         self._threads = threads
         self._changed = threading.Condition()
         self._claims: deque[_Claim] = deque()
@@ -77,7 +78,7 @@ class Ahead:
         self._failure: BaseException | None = None
         self._helpers = [
             threading.Thread(target=self._help, name="canser", daemon=True)
-            for _ in range(min(threads - 1, (end - self._from) // _STRETCH_LEAST))
+            for _ in range(min(threads - 1, data_len // _STRETCH_LEAST))
         ]
 
     def __enter__(self) -> Self:
@@ -158,10 +159,7 @@ class Ahead:
                 if claim is not None:
                     spare.pop()
                     mine.append(claim)
-                    data, data_len, offset = self._view(claim.first, claim.stop)
-                    claim.chunk.decode(
-                        data, data_len, claim.first - offset, claim.stop - offset, offset
-                    )
+                    claim.decode(self._data, self._data_len, self._start)
                     with self._changed:
                         claim.decoded = True
                         self._changed.notify_all()

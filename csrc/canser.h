@@ -34,11 +34,6 @@ extern "C" {
 /* The longest packet of any protocol, in bytes: the fixed packet of `seeed`. */
 #define CANSER_PACKET_MAX 20
 
-/* How much of the stream a chunk's guess reads before its stretch: a scan that starts
- * anywhere falls into step with the true one within some packets, or never. In
- * `cantalope`, which marks nothing, it mostly takes a few hundred bytes. */
-#define CANSER_RUN_UP 4096
-
 /* The bytes that must follow a position for canser_decoder_advance() to decide there. */
 #define CANSER_BEHIND 24
 

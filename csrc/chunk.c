@@ -9,13 +9,18 @@
 #include "clock.h"
 #include "vector.h"
 
+/* How much of the stream a guess reads before its stretch: a scan that starts anywhere
+ * falls into step with the true one within some packets, or never. In `cantalope`, which
+ * marks nothing, it mostly takes a few hundred bytes. */
+enum { RUN_UP = 4096 };
+
 int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, const uint8_t *data,
                         size_t data_len, size_t first, size_t stop, uint64_t offset,
                         canser_batch *batch)
 {
     canser_decoder *const tale = self ? &self->tale : NULL;
     int status = canser_decoder_init(tale, protocol, 1);
-    size_t pos = first < CANSER_RUN_UP ? 0 : first - CANSER_RUN_UP;
+    size_t pos = first < RUN_UP ? 0 : first - RUN_UP;
     size_t used;
 
     if (!batch || !batch->frame_cap || (batch->controls && !batch->control_cap))

@@ -1,0 +1,302 @@
+"""Print what canser reaches and what it must reach, side by side.
+
+Each figure is a ratio of two times in one run: both calls are warm, their rounds alternate,
+the median counts. What is measured is checked first. README.md, beside this file, explains
+the figures and what bounds them.
+"""
+
+import argparse
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import canser
+import data
+import memory
+import peers
+from canser.frames import FrameArray
+from hostile import Bytes, hostile, noisy, tiled
+from measure import copy_and_fill, machine, paired
+
+MIB = 1 << 20
+PIECE = 4096
+
+SETS: dict[str, Callable[[int, str], FrameArray]] = {
+    "mixed": data.mixed,
+    "periodic": data.periodic,
+}
+
+L_DECODE = {"serial": 1.5, "seeed": 1.25, "cantalope": 1.25}
+L_ENCODE = 1.4
+PYTHON_CAN = {"serial": 750.0, "seeed": 1300.0}
+NUMPY, NUMBA = 70.0, 3.0
+
+
+class Row(NamedTuple):
+    """A line of the table."""
+
+    what: str
+    protocol: str
+    reached: float
+    required: float | None
+    note: str = ""
+
+
+class Stream:
+    """Frames, their bytes, and room for both."""
+
+    def __init__(self, name: str, protocol: str, count: int) -> None:
+        self.name, self.protocol, self.count = name, protocol, count
+        self.frames = SETS[name](count, protocol)
+        self.raw: Bytes = np.frombuffer(canser.encode(self.frames, protocol), np.uint8)
+        self.out = np.empty(count + 1, canser.FRAME_DTYPE)
+        self.decoder = canser.Decoder(protocol)
+        expected = self.frames.copy()
+        if protocol != "serial":
+            expected["ts"] = canser.NO_TIME
+        expected["data"][expected["rtr"]] = 0
+        decoded = canser.decode(self.raw, protocol, out=self.out)
+        assert np.array_equal(decoded, expected), f"decoding {protocol} is wrong"
+
+    def feed(self) -> None:
+        """Decode all in one call."""
+        self.decoder.feed_into(self.raw, self.out)
+
+
+def take(decoder: canser.Decoder, raw: Bytes, out: FrameArray) -> None:
+    """Decode all into an array that may be too small, again and again."""
+    used = 0
+    while used < len(raw):
+        more, _ = decoder.feed_into(raw[used:], out)
+        used += more
+
+
+def against_memory(stream: Stream, rounds: int) -> Iterator[Row]:
+    """Compare with L: numpy copies what is read and fills what is written."""
+    raw, frames, protocol = stream.raw, stream.frames, stream.protocol
+    copy, records = np.empty_like(raw), stream.out[:-1].view(np.uint64)
+    limit_s, ours_s, ratio = paired(lambda: copy_and_fill(raw, copy, records), stream.feed, rounds)
+    note = f"{stream.count / ours_s / 1e6:.0f} Mframes/s, {len(raw) / ours_s / 1e9:.2f} GB/s, L "
+    note += f"{limit_s / stream.count * 1e9:.2f} ns a frame"
+    yield Row(f"decode over L, {stream.name}", protocol, ratio, L_DECODE[protocol], note)
+
+    room = np.empty(stream.count * 20, np.uint8)
+    assert np.array_equal(canser.encode(frames, protocol, out=room), raw), "encoding is wrong"
+    words, words_copy, target = frames.view(np.uint64), np.empty_like(frames), room[: len(raw)]
+    limit_s, ours_s, ratio = paired(
+        lambda: copy_and_fill(words, words_copy.view(np.uint64), target),
+        lambda: canser.encode(frames, protocol, out=room),
+        rounds,
+    )
+    note = f"{stream.count / ours_s / 1e6:.0f} Mframes/s, L {limit_s / stream.count * 1e9:.2f} ns"
+    yield Row(f"encode over L, {stream.name}", protocol, ratio, L_ENCODE, f"{note} a frame")
+
+
+def against_peers(stream: Stream, rounds: int) -> Iterator[Row]:
+    """Give the same bytes from memory to other decoders."""
+    protocol, raw, count = stream.protocol, stream.raw, stream.count
+    rivals: list[tuple[str, peers.Decode, float]] = [("numpy", peers.NUMPY[protocol], NUMPY)]
+    try:
+        rivals.append(("a numba loop", peers.numba_loop(protocol), NUMBA))
+    except ImportError:
+        print("numba is not installed: pip install 'canser[bench]'")
+    expected = canser.decode(raw, protocol)
+    for name, rival, required in rivals:
+        room = np.zeros(count + 1, canser.FRAME_DTYPE)
+        assert np.array_equal(room[: rival(raw, room)], expected), f"{name} is wrong"
+        rival_s, _, ratio = paired(lambda: rival(raw, room), stream.feed, rounds)  # noqa: B023
+        note = f"{count / rival_s / 1e6:.0f} Mframes/s"
+        yield Row(f"decode over {name}", protocol, ratio, required, note)
+    if protocol in PYTHON_CAN:
+        # Remote frames make python-can lose its place; there are none in this set.
+        few = stream.frames[: min(count, 20_000)]
+        few_raw = canser.encode(few, protocol)
+        assert peers.python_can(protocol, few_raw) == len(few), "python-can loses frames"
+        bus_s, _, ratio = paired(
+            lambda: peers.python_can(protocol, few_raw), stream.feed, min(rounds, 5)
+        )
+        note = f"{len(few) / bus_s / 1e6:.2f} Mframes/s"
+        required = PYTHON_CAN[protocol]
+        yield Row(
+            "decode over python-can's bus", protocol, ratio * count / len(few), required, note
+        )
+
+
+def noise(stream: Stream, rounds: int) -> Iterator[Row]:
+    """Compare bytes a second with those of the clean stream."""
+    protocol, raw, out = stream.protocol, stream.raw, stream.out
+    spoilt = noisy(raw, 1e-3, 1)
+    decoder = canser.Decoder(protocol)
+    _, _, ratio = paired(stream.feed, lambda: decoder.feed_into(spoilt, out), rounds)
+    yield Row("1 byte in 1000 bad, over clean", protocol, ratio, 0.9)
+    room = np.zeros(1 << 18, canser.FRAME_DTYPE)
+    clean = tiled(raw, len(raw))
+    worst: tuple[float, str] = (np.inf, "")
+    for name, bad in hostile(protocol, len(raw)).items():
+        _, _, ratio = paired(
+            lambda: take(decoder, clean, room),
+            lambda: take(decoder, bad, room),  # noqa: B023
+            max(rounds // 3, 1),
+        )
+        worst = min(worst, (ratio, name))
+    yield Row("the worst hostile input, over clean", protocol, worst[0], 0.5, worst[1])
+
+
+def pieces(stream: Stream, rounds: int) -> Iterator[Row]:
+    """Decode a stream as it comes from a port, 4 KiB at a time."""
+    raw, decoder = stream.raw.tobytes(), stream.decoder
+    parts = [raw[begin:end] for begin, end in pairwise([*range(0, len(raw), PIECE), len(raw)])]
+    room = np.zeros(PIECE, canser.FRAME_DTYPE)
+
+    def feed_pieces() -> None:
+        feed_into = decoder.feed_into
+        for part in parts:
+            feed_into(part, room)
+
+    _, _, ratio = paired(stream.feed, feed_pieces, rounds)
+    whole_s, empty_s, _ = paired(
+        stream.feed, lambda: [decoder.feed_into(b"", room) for _ in parts], rounds
+    )
+    note = f"a call without bytes takes {empty_s / len(parts) * 1e6:.2f} us, "
+    note += f"4 KiB in one call {whole_s / len(parts) * 1e6:.2f} us"
+    yield Row("feed_into in 4 KiB pieces, over one call", stream.protocol, ratio, 0.85, note)
+
+
+def files(stream: Stream, size: int, folder: Path, rounds: int) -> Iterator[Row]:
+    """Decode a file in the page cache, over the same bytes in memory."""
+    protocol = stream.protocol
+    raw = tiled(stream.raw, size - size % len(stream.raw) or len(stream.raw))
+    path = folder / f"{protocol}.bin"
+    raw.tofile(path)
+    room = np.zeros(1 << 16, canser.FRAME_DTYPE)
+
+    def from_file(threads: int) -> int:
+        return sum(len(block) for block in canser.blocks(path, protocol, out=room, threads=threads))
+
+    decoder = canser.Decoder(protocol)
+    assert from_file(1) == len(raw) // len(stream.raw) * stream.count, "frames of the file are lost"
+    _, file_s, ratio = paired(lambda: take(decoder, raw, room), lambda: from_file(1), rounds)
+    note = f"{len(raw) / MIB:.0f} MiB, {len(raw) / file_s / 1e9:.2f} GB/s"
+    yield Row("blocks of a file, over memory", protocol, ratio, 0.9, note)
+    _, _, ratio = paired(
+        lambda: canser.decode(raw, protocol), lambda: canser.read(path, protocol), rounds
+    )
+    yield Row("read of a file, over memory", protocol, ratio, 0.9, "both into a new array")
+
+    def count_blocks(threads: int) -> int:
+        return sum(len(block) for block in canser.blocks(path, protocol, threads=threads))
+
+    assert count_blocks(1) == count_blocks(2)
+    _, _, ratio = paired(lambda: count_blocks(1), lambda: count_blocks(2), rounds)
+    yield Row("2 threads over 1, blocks of a file", protocol, ratio, 1.7)
+    path.unlink()
+
+
+def threads(stream: Stream, rounds: int) -> Iterator[Row]:
+    """Compare two threads with one, into one array."""
+    protocol, out = stream.protocol, stream.out
+
+    def decode(raw: Bytes, count: int) -> FrameArray:
+        return canser.decode(raw, protocol, out=out, threads=count)
+
+    assert np.array_equal(decode(stream.raw, 1).copy(), decode(stream.raw, 2))
+    _, _, ratio = paired(lambda: decode(stream.raw, 1), lambda: decode(stream.raw, 2), rounds)
+    yield Row("2 threads over 1, into one array", protocol, ratio, 1.5)
+    if protocol == "cantalope":
+        # A chain that starts anywhere else never meets the true one.
+        never = np.full(len(stream.raw), 8, np.uint8)
+        assert np.array_equal(decode(never, 1).copy(), decode(never, 2))
+        _, _, ratio = paired(lambda: decode(never, 1), lambda: decode(never, 2), rounds)
+        yield Row("2 threads over 1, where no guess holds", protocol, ratio, 0.9)
+
+
+def convert(stream: Stream, size: int, folder: Path, rounds: int) -> Iterator[Row]:
+    """Convert, a whole process, over `cp` of the bytes it reads and of those it writes."""
+    protocol = stream.protocol
+    source, made = folder / "run.bin", folder / "run.npy"
+    tiled(stream.raw, size - size % len(stream.raw) or len(stream.raw)).tofile(source)
+    command = [sys.executable, "-m", "canser", "convert", "-p", protocol, source, made, "--force"]
+
+    def run() -> None:
+        made.unlink(missing_ok=True)
+        subprocess.run([str(x) for x in command], check=True, capture_output=True)
+
+    def copy() -> None:
+        for path in (source, reference):
+            target = folder / "copy"
+            target.unlink(missing_ok=True)
+            subprocess.run(["cp", path, target], check=True)
+            target.unlink()
+
+    run()
+    reference = folder / "reference.npy"
+    shutil.copy(made, reference)
+    copy_s, run_s, ratio = paired(copy, run, rounds)
+    note = f"{source.stat().st_size / MIB:.0f} MiB in, {made.stat().st_size / MIB:.0f} MiB out, "
+    yield Row(
+        "convert to .npy, over cp", protocol, ratio, 0.7, f"{note}{run_s:.2f} s, cp {copy_s:.2f} s"
+    )
+
+
+def memory_rows(protocol: str, size: int) -> Iterator[Row]:
+    """Tell what decoding takes besides the arrays it fills."""
+    kept, peak = memory.feed_bytes(protocol)
+    note = f"bytes a call; {peak} at once, gone at its end"
+    yield Row("feed_into keeps, at most", protocol, kept, 0, note)
+    grown = memory.blocks_bytes(protocol, size) / MIB
+    yield Row("blocks takes besides out, MiB, at most", protocol, grown, 64)
+
+
+def rows(count: int, size: int, rounds: int, folder: Path) -> Iterator[Row]:
+    for protocol in ("serial", "seeed", "cantalope"):
+        stream = Stream("mixed", protocol, count)
+        yield from against_memory(stream, rounds)
+        yield from against_memory(Stream("periodic", protocol, count), rounds)
+        yield from against_peers(stream, rounds)
+        yield from noise(stream, rounds)
+        yield from pieces(stream, rounds)
+        yield from threads(stream, rounds)
+        yield from files(stream, size, folder, max(rounds // 3, 1))
+        if protocol == "serial":
+            yield from convert(stream, size, folder, max(rounds // 4, 1))
+        yield from memory_rows(protocol, size // 2)
+
+
+def verdict(row: Row) -> str:
+    """Say whether a figure is what it must be."""
+    if row.required is None:
+        return ""
+    at_most = "at most" in row.what
+    return (
+        "" if (row.reached <= row.required) == at_most or row.reached == row.required else "below"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=int, default=4_000_000, help="frames of a set")
+    parser.add_argument("--rounds", type=int, default=11, help="rounds of each pair")
+    parser.add_argument("--mib", type=int, default=1024, help="MiB of the files")
+    args = parser.parse_args()
+    print(machine())
+    print(f"{args.frames:,} frames a set, {args.rounds} rounds, files of {args.mib} MiB\n")
+    print(f"{'what':44} {'protocol':10} {'reached':>8} {'required':>8}")
+    with tempfile.TemporaryDirectory() as folder:
+        for row in rows(args.frames, args.mib * MIB, args.rounds, Path(folder)):
+            required = "" if row.required is None else f"{row.required:g}"
+            print(
+                f"{row.what:44} {row.protocol:10} {row.reached:8.3g} {required:>8} "
+                f"{verdict(row):5}  {row.note}".rstrip(),
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
