@@ -17,10 +17,11 @@ lint: $(VENV)/.lint ## run the linters
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/clang-format --dry-run -Werror csrc/*.[ch] tests/c/*.[ch]
+	$(BIN)/clang-format --dry-run -Werror csrc/*.[ch] tests/c/*.[ch] bench/*.c
 
-bench: $(VENV)/.test ## print the speed as ratios to the memory's
-	$(BIN)/python bench/speed.py
+bench: $(VENV)/.bench ## print what is reached and what must be; plot time against size
+	$(BIN)/python bench/table.py
+	$(BIN)/python bench/growth.py --plot build/growth.png
 
 clean:
 	rm -rf $(VENV) build dist canser.egg-info canser/_core.*.so canser/_core.*.pyd
@@ -35,6 +36,10 @@ $(VENV)/.built: $(VENV)/bin/python $(BUILT)
 
 $(VENV)/.test: $(VENV)/bin/python $(BUILT)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	touch $(VENV)/.built $@
+
+$(VENV)/.bench: $(VENV)/bin/python $(BUILT)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	touch $(VENV)/.built $@
 
 $(VENV)/.lint: $(VENV)/bin/python $(BUILT)
