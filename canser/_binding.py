@@ -218,13 +218,8 @@ assert ffi.offsetof("canser_batch", "control_count") == (_FOUND_WORD + 1) * ffi.
 assert _BATCH_WORDS == _FOUND_WORD + 2
 
 
-def _nowhere() -> object:
-    """Stand in for a reference to `out`: to no array at all."""
-    return _nowhere
-
-
 def _nothing() -> None:
-    """Stand in for a reference to `offsets`: none are asked for."""
+    """Stand in for a reference to no array."""
 
 
 class Stream:
@@ -249,7 +244,7 @@ class Stream:
         )
         self._batch.control_cap = _CONTROL_CAP
         # Where the last call's frames went, held by nobody here.
-        self._out: Callable[[], object] = _nowhere
+        self._out: Callable[[], object] = _nothing
         self._offsets: Callable[[], object] = _nothing
         self._cap = self._offset_cap = 0
         self.aim_at(ffi.NULL, 0, ffi.NULL)
@@ -261,12 +256,19 @@ class Stream:
         They are mostly those of last time. Then that takes a tenth of the time: what may
         have become of them since is asked, and no pointer is made anew.
         """
+        # A reference to an array that is gone gives None, which may be what is asked for.
         if (
-            out is self._out()
-            and offsets is self._offsets()
+            out is not None
+            and out is self._out()
             and len(out) == self._cap
             and out.flags.writeable
-            and (offsets is None or (offsets.flags.writeable and len(offsets) == self._offset_cap))
+            and (
+                not self._offset_cap
+                if offsets is None
+                else offsets is self._offsets()
+                and offsets.flags.writeable
+                and len(offsets) == self._offset_cap
+            )
         ):
             return
         self.aim_at(output_frames(out), len(out), output_offsets(offsets, len(out)))
@@ -278,7 +280,8 @@ class Stream:
         """Tell where frames and offsets go by pointers, which must stay good."""
         batch = self._batch
         batch.frames, batch.frame_cap, batch.offsets = out, cap, at
-        self._out, self._offsets = _nowhere, _nothing
+        self._out = self._offsets = _nothing
+        self._offset_cap = 0
 
     def reset(self) -> None:
         """Start anew: counters zero, nothing held, the clock not started."""

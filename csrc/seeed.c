@@ -109,36 +109,17 @@ typedef struct {
     KIND(0, ext, id, id_max), KIND(1, ext, id, id_max), KIND(2, ext, id, id_max),                  \
         KIND(3, ext, id, id_max), KIND(4, ext, id, id_max), KIND(5, ext, id, id_max),              \
         KIND(6, ext, id, id_max), KIND(7, ext, id, id_max), KIND(8, ext, id, id_max)
-#define NONE {0, 0, 0, 0, 0x100}
+#define NONE   {0, 0, 0, 0, 0x100}
+#define NONE_8 NONE, NONE, NONE, NONE, NONE, NONE, NONE, NONE
 
+/* clang-format off */
 static const data_kind data_kinds[] = {
     KINDS(0, UINT32_C(0xFFFF), (uint32_t)ID_STD_MAX),
-    /* over 8; then remote frames */
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
-    NONE,
+    NONE, NONE, NONE, NONE, NONE, NONE, NONE, /* a dlc over 8 */
+    NONE_8, NONE_8,                           /* remote frames */
     KINDS(1, UINT32_C(0xFFFFFFFF), (uint32_t)ID_EXT_MAX),
 };
+/* clang-format on */
 
 CANSER_INLINE bool probe_plain(const uint8_t *p, canser_frame *frame, uint32_t *raw,
                                const uint8_t **next)

@@ -339,6 +339,57 @@ def test_control_packets_are_taken_once() -> None:
     assert decoder.controls_dropped == 0
 
 
+@pytest.mark.parametrize("kind", [bytes, bytearray, memoryview, lambda x: np.frombuffer(x, "u1")])
+def test_control_packets_that_fill_their_room_more_than_once(kind: Callable[[bytes], Any]) -> None:
+    raw = b"\xff\xff\x00" * 1500 + b"\x24\x60" + b"\xff\xff\x00" * 1500 + b"\x24\x80"
+    decoder = canser.Decoder("cantalope")
+    out, offsets = np.empty(4, FRAME_DTYPE), np.empty(4, np.int64)
+    for begin in (0, len(raw)):
+        assert decoder.feed_into(kind(raw), out, offsets) == (len(raw), 2)
+        assert out["id"][:2].tolist() == [0x123, 0x124]
+        assert (offsets[:2] - begin).tolist() == [4500, len(raw) - 2]
+        assert len(decoder.take_controls()) == 3000
+
+
+def test_arrays_that_change_between_calls_are_seen() -> None:
+    decoder = canser.Decoder("seeed")
+    raw = RAW["seeed"]
+    out, offsets = np.empty(len(SOME), FRAME_DTYPE), np.empty(len(SOME), np.int64)
+    for _ in range(2):
+        assert decoder.feed_into(raw, out, offsets) == (len(raw), len(SOME))
+    out.flags.writeable = False
+    with pytest.raises(BufferError, match="out is read-only"):
+        decoder.feed_into(raw, out, offsets)
+    out.flags.writeable = True
+    offsets.flags.writeable = False
+    with pytest.raises(BufferError, match="offsets is read-only"):
+        decoder.feed_into(raw, out, offsets)
+    assert decoder.feed_into(raw, out) == (len(raw), len(SOME))
+    short = np.empty(3, np.int64)
+    with pytest.raises(ValueError, match="offsets has room for 3"):
+        decoder.feed_into(raw, out, short)
+
+
+def test_another_array_at_the_place_of_the_last_is_checked() -> None:
+    decoder = canser.Decoder("seeed")
+    for rows in (5, 9, 2):
+        out = np.empty(rows, FRAME_DTYPE)
+        assert decoder.feed_into(RAW["seeed"], out)[1] == rows
+        assert same(out, "seeed", SOME[:rows])
+        del out
+        with pytest.raises(TypeError, match="not NoneType"):
+            decoder.feed_into(b"", None)  # type: ignore[arg-type]
+    out, offsets = np.empty(9, FRAME_DTYPE), np.full(9, 7, np.int64)
+    at = offsets.ctypes.data
+    decoder.feed_into(RAW["seeed"], out, offsets)
+    watched = (ctypes.c_int64 * 9).from_address(at)
+    del offsets
+    again = np.full(9, 7, np.int64)  # mostly the same memory
+    decoder.feed_into(RAW["seeed"], out)
+    assert again.tolist() == [7] * 9 or again.ctypes.data != at
+    assert len(watched) == 9
+
+
 def test_control_packets_that_nobody_takes_are_bounded_and_counted() -> None:
     count = codec._CONTROLS_KEPT * 2 + 500
     decoder = canser.Decoder("cantalope")
