@@ -18,7 +18,15 @@
  */
 #include "vector.h"
 
-enum { HEADER = 2, COMMAND = 0xFF, PING = 0x00, PING_LEN = 3, ERROR_REPORT = 0x01, ERROR_LEN = 4 };
+enum {
+    LEAD = 1,
+    HEADER = 2,
+    COMMAND = 0xFF,
+    PING = 0x00,
+    PING_LEN = 3,
+    ERROR_REPORT = 0x01,
+    ERROR_LEN = 4
+};
 
 CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *frame, uint32_t *raw)
 {
@@ -44,19 +52,27 @@ CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *f
     return probe_frame(len);
 }
 
-CANSER_INLINE bool probe_plain(const uint8_t *p, canser_frame *frame, uint32_t *raw,
-                               const uint8_t **next)
+CANSER_INLINE bool begin_plain(const uint8_t *p, size_t *lead)
 {
-    const size_t dlc = p[1] & 0xF;
-    const unsigned rtr = p[1] >> 4 & 1;
+    *lead = p[LEAD];
+    return true;
+}
+
+/* No remote frame: with its flag the dlc, too, is over 8. */
+CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *frame, uint32_t *raw)
+{
+    const uint8_t *const begin = *p, *ahead = begin + HEADER + LEAD;
+    const size_t type = *lead, dlc = type & 0x1F;
 
     (void)raw;
-    *next = p + HEADER;
-    CANSER_OPAQUE(*next); /* one sum behind the dlc, which the next frame waits for */
-    *next += dlc;
     if (!CANSER_LIKELY(dlc <= DLC_MAX))
         return false;
-    store_frame(frame, (uint32_t)p[0] << 3 | p[1] >> 5, 0, rtr, 0, dlc, p + HEADER);
+    CANSER_OPAQUE(ahead); /* the next frame waits for a mask and a load: the load adds */
+    *lead = ahead[dlc];
+    CANSER_OPAQUE(ahead);
+    *p = ahead + dlc - LEAD;
+    store_frame(frame, 8 * (uint32_t)begin[0] + (uint32_t)(type >> 5), 0, 0, 0, dlc,
+                begin + HEADER);
     return true;
 }
 

@@ -56,14 +56,18 @@ CANSER_COLD void clock_jump(canser_clock *clock, uint32_t raw, uint64_t number, 
     clock->jump_at = number;
 }
 
+/* Whether the clock goes on by a small step. One test for all that is rare: a step
+ * back is negative, so large here. */
+CANSER_INLINE bool clock_is_small_step(uint64_t before, uint64_t raw)
+{
+    return raw - before <= SMALL_STEP;
+}
+
 /* The time of frame `number` of the stream, in nanoseconds modulo 2^64. */
 CANSER_INLINE int64_t clock_advance(canser_clock *clock, uint32_t raw, uint64_t number,
                                     canser_stats *stats)
 {
-    /* One test for all that is rare: a step back is negative, so large here. */
-    const uint64_t step = (uint64_t)raw - clock->raw;
-
-    if (!CANSER_LIKELY(step <= SMALL_STEP))
+    if (!CANSER_LIKELY(clock_is_small_step(clock->raw, raw)))
         clock_jump(clock, raw, number, stats);
     clock->raw = raw;
     return (int64_t)((clock->turned + raw) * (uint64_t)clock->tick_ns);

@@ -22,6 +22,7 @@ CANSER_PROTOCOLS(CANSER_DECLARE)
 /* Compiler extensions, one macro each. */
 #if defined(__GNUC__)
 #define CANSER_INLINE            static inline __attribute__((always_inline))
+#define CANSER_NOINLINE          static __attribute__((noinline))
 #define CANSER_COLD              static __attribute__((noinline, cold))
 #define CANSER_LIKELY(x)         __builtin_expect(!!(x), 1)
 #define CANSER_PREFETCH_READ(p)  __builtin_prefetch((p), 0)
@@ -31,6 +32,7 @@ CANSER_PROTOCOLS(CANSER_DECLARE)
 #define CANSER_OPAQUE(x) __asm__("" : "+r"(x))
 #elif defined(_MSC_VER)
 #define CANSER_INLINE            static __forceinline
+#define CANSER_NOINLINE          static __declspec(noinline)
 #define CANSER_COLD              static __declspec(noinline)
 #define CANSER_LIKELY(x)         (x)
 #define CANSER_PREFETCH_READ(p)  ((void)(p))
@@ -38,6 +40,7 @@ CANSER_PROTOCOLS(CANSER_DECLARE)
 #define CANSER_OPAQUE(x)         ((void)(x))
 #else
 #define CANSER_INLINE            static inline
+#define CANSER_NOINLINE          static
 #define CANSER_COLD              static
 #define CANSER_LIKELY(x)         (x)
 #define CANSER_PREFETCH_READ(p)  ((void)(p))

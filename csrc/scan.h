@@ -11,8 +11,11 @@
  *               how many bytes are there. Writes `frame` (all but ts) and `raw`
  *               (the device timestamp) only where it finds a frame.
  *   probe_plain()  the same for the frames that a bus is full of, where a whole
- *               window is there: true, with `next` behind the frame, or false
- *               if probe() must tell. May write `frame` and `raw` at any time.
+ *               window is there: true, with `p` behind the frame, or false if
+ *               probe() must tell. `lead` is the byte that tells the length of
+ *               the frame at `p`: loaded one frame ahead, as all waits for it.
+ *               May write what it is given at any time.
+ *   begin_plain()  the first `lead`; false if no plain frame starts at `p`
  *   survey()    with vectors: where among 64 positions no packet starts, and why
  *   emit()      one frame to the wire; returns its length, never over
  *               SCAN_WINDOW. `raw` is the device timestamp to send; `plain`, a
@@ -118,6 +121,66 @@ CANSER_COLD bool take_control(canser_decoder *self, const uint8_t *p, size_t len
     return true;
 }
 
+/* Where a run of plain frames stopped. */
+typedef struct {
+    const uint8_t *p;
+    canser_frame *frame;
+} plain_stop;
+
+/* Plain frames from `p` on, until one is no plain frame, or the clock does more than
+ * a small step, or `until` is reached. `shift`: what makes an address the stream
+ * offset of its byte. */
+CANSER_INLINE plain_stop plain_loop(const uint8_t *p, canser_frame *frame,
+                                    canser_frame *const until, canser_clock *clock,
+                                    int64_t *offsets, const uint64_t shift)
+{
+    /* Among small steps the time is a line. */
+    const uint64_t tick_ns = (uint64_t)clock->tick_ns, turned_ns = clock->turned * tick_ns;
+    uint64_t before = clock->raw;
+    size_t lead;
+
+    if (!begin_plain(p, &lead))
+        return (plain_stop){p, frame};
+    do {
+        const uint8_t *next = p;
+        uint32_t raw;
+
+        CANSER_PREFETCH_READ((const void *)((uintptr_t)p + PREFETCH_IN));
+        CANSER_PREFETCH_WRITE((const void *)((uintptr_t)frame + PREFETCH_OUT * sizeof *frame));
+        if (!CANSER_LIKELY(probe_plain(&next, &lead, frame, &raw)))
+            break;
+        frame->ts = CANSER_NO_TIME;
+        if (HAS_CLOCK) {
+            if (!CANSER_LIKELY(clock_is_small_step(before, raw)))
+                break;
+            before = raw;
+            frame->ts = (int64_t)(turned_ns + raw * tick_ns);
+        }
+        if (offsets)
+            *offsets++ = (int64_t)((uintptr_t)p + shift);
+        frame++;
+        p = next;
+    } while (CANSER_LIKELY(frame < until));
+    if (HAS_CLOCK)
+        clock->raw = (uint32_t)before;
+    return (plain_stop){p, frame};
+}
+
+/* Two functions of their own, so that here, where a decoder spends its time, no
+ * register and no jump is lost to what is rare, or to offsets nobody asked for. */
+CANSER_NOINLINE plain_stop take_plain(const uint8_t *p, canser_frame *frame, canser_frame *until,
+                                      canser_clock *clock)
+{
+    return plain_loop(p, frame, until, clock, NULL, 0);
+}
+
+CANSER_NOINLINE plain_stop take_plain_offsets(const uint8_t *p, canser_frame *frame,
+                                              canser_frame *until, canser_clock *clock,
+                                              int64_t *offsets, uint64_t shift)
+{
+    return plain_loop(p, frame, until, clock, offsets, shift);
+}
+
 CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, size_t pos,
                                   size_t stop_pos, size_t len, uint64_t base, canser_batch *batch,
                                   const scan_mode mode)
@@ -129,7 +192,7 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
     const uint8_t *const end = data + len;
     canser_frame *frame = batch->frames + batch->frame_count;
     canser_frame *const frames_end = batch->frames + batch->frame_cap;
-    int64_t *offsets = batch->offsets ? batch->offsets + batch->frame_count : NULL;
+    int64_t *const offsets = batch->offsets ? batch->offsets + batch->frame_count : NULL;
     canser_stats *const stats = &self->stats;
     canser_clock clock = self->clock;
     const uint64_t apart = stats->bytes_control + stats->bytes_skipped;
@@ -145,28 +208,28 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
         probe_result found = probe_frame(0);
 
         do {
-            const size_t avail = mode == SCAN_BODY ? (size_t)SCAN_WINDOW : (size_t)(end - p);
-            const uint8_t *next;
-            uint32_t raw = 0;
-
             if (mode == SCAN_BODY) {
-                CANSER_PREFETCH_READ((const void *)((uintptr_t)p + PREFETCH_IN));
-                CANSER_PREFETCH_WRITE(
-                    (const void *)((uintptr_t)frame + PREFETCH_OUT * sizeof *frame));
-            }
-            if (mode != SCAN_BODY || !CANSER_LIKELY(probe_plain(p, frame, &raw, &next))) {
-                found = probe(p, avail, frame, &raw);
-                if (found.kind != PROBE_FRAME)
+                const plain_stop at =
+                    offsets ? take_plain_offsets(p, frame, until, &clock, offsets + (frame - begin),
+                                                 base - (uintptr_t)data)
+                            : take_plain(p, frame, until, &clock);
+                p = at.p;
+                frame = at.frame;
+                if (frame == until)
                     break;
-                next = p + found.value;
             }
-            frame->ts = HAS_CLOCK ? clock_advance(&clock, raw,
-                                                  number_before + (uint64_t)(frame - begin), stats)
-                                  : CANSER_NO_TIME;
+            const size_t avail = mode == SCAN_BODY ? (size_t)SCAN_WINDOW : (size_t)(end - p);
+            const uint64_t number = number_before + (uint64_t)(frame - begin);
+            uint32_t raw;
+
+            found = probe(p, avail, frame, &raw);
+            if (found.kind != PROBE_FRAME)
+                break;
+            frame->ts = HAS_CLOCK ? clock_advance(&clock, raw, number, stats) : CANSER_NO_TIME;
             if (offsets)
-                *offsets++ = (int64_t)(base + (uint64_t)(p - data));
+                offsets[frame - begin] = (int64_t)(base + (uint64_t)(p - data));
             frame++;
-            p = next;
+            p += found.value;
         } while (frame < until);
 
         const uint64_t offset = base + (uint64_t)(p - data);

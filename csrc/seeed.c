@@ -25,8 +25,14 @@
  */
 #include "vector.h"
 
-enum { START = 0xAA, END = 0x55, FIXED = 0x55, FIXED_LEN = 20, FIXED_FRAME = 0x01 };
-enum { TYPE_MARK = 0xC0, TYPE_EXT = 0x20, TYPE_RTR = 0x10, TYPE_DLC = 0x0F };
+enum { START = 0xAA, END = 0x55, LEAD = 1, FIXED = 0x55, FIXED_LEN = 20, FIXED_FRAME = 0x01 };
+enum {
+    TYPE_MARK = 0xC0,
+    MARK_NIBBLE = TYPE_MARK >> 4,
+    TYPE_EXT = 0x20,
+    TYPE_RTR = 0x10,
+    TYPE_DLC = 0x0F
+};
 
 /* The end mark of a data frame is looked at before its dlc is known to be good. */
 _Static_assert(6 + TYPE_DLC + 1 <= SCAN_WINDOW, "the longest length a type byte can claim");
@@ -121,28 +127,38 @@ static const data_kind data_kinds[] = {
 };
 /* clang-format on */
 
-CANSER_INLINE bool probe_plain(const uint8_t *p, canser_frame *frame, uint32_t *raw,
-                               const uint8_t **next)
+CANSER_INLINE bool begin_plain(const uint8_t *p, size_t *lead)
 {
-    const size_t type = p[1];
+    *lead = p[LEAD];
+    return true;
+}
+
+CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *frame, uint32_t *raw)
+{
+    const uint8_t *const begin = *p;
+    const size_t type = *lead;
     const size_t kind_at = type ^ TYPE_MARK;
-    const size_t more = type >> 4 & 2; /* bytes that an extended id has more */
+    const size_t nibble = type >> 4; /* the mark, and 2, the bytes that an extended id has more */
 
     (void)raw;
-    *next = p + 5;
-    CANSER_OPAQUE(*next); /* two sums behind the load: the next frame waits for them */
-    *next += type & TYPE_DLC;
-    CANSER_OPAQUE(*next);
-    *next += more;
     if (!CANSER_LIKELY(kind_at < sizeof data_kinds / sizeof *data_kinds) ||
-        !CANSER_LIKELY(p[0] == START))
+        !CANSER_LIKELY(begin[0] == START))
         return false;
     const data_kind *const kind = &data_kinds[kind_at];
-    const uint32_t id = load_le32(p + 2);
-    if (!CANSER_LIKELY(!((id & kind->id_over) | (p[4 + more + (type & TYPE_DLC)] ^ kind->end))))
+    const uint32_t id = load_le32(begin + 2);
+    const uint64_t payload = load_word(begin + (nibble - (MARK_NIBBLE - 4)));
+    /* The next frame waits for a mask, a sum and a load: the load adds the rest. */
+    const uint8_t *ahead =
+        (const uint8_t *)((uintptr_t)begin - (MARK_NIBBLE - 5 - LEAD) + (type & TYPE_DLC));
+    CANSER_OPAQUE(ahead);
+    *lead = ahead[nibble];
+    CANSER_OPAQUE(ahead);
+    const unsigned end = ahead[(ptrdiff_t)nibble - LEAD - 1];
+    if (!CANSER_LIKELY(!((id & kind->id_over) | (end ^ kind->end))))
         return false;
+    *p = ahead + nibble - LEAD;
     store_words(frame, FRAME_HEAD(id & kind->id, 0, 0, 0, 0) | kind->flags,
-                load_word(p + 4 + more) & kind->payload);
+                payload & kind->payload);
     return true;
 }
 

@@ -18,7 +18,7 @@
  */
 #include "vector.h"
 
-enum { START = 0xAA, END = 0xBB, HEADER = 10 };
+enum { START = 0xAA, END = 0xBB, LEAD = 5, HEADER = 10 };
 
 /* The flags of the id, by their bits. */
 enum { BIT_EXT = 31, BIT_RTR = 30, BIT_ERR = 29 };
@@ -66,22 +66,33 @@ CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *f
     return probe_rest(p, avail, frame, false);
 }
 
-/* Neither remote nor error frame. Any id over 11 bits is extended: with the flag
- * of the extended id, too, it is over. */
-CANSER_INLINE bool probe_plain(const uint8_t *p, canser_frame *frame, uint32_t *raw,
-                               const uint8_t **next)
+CANSER_INLINE bool begin_plain(const uint8_t *p, size_t *lead)
 {
-    const size_t dlc = p[5];
-    const uint32_t id = load_le32(p + 6);
+    *lead = p[LEAD];
+    return p[0] == START;
+}
 
-    *next = p + HEADER + 1;
-    CANSER_OPAQUE(*next); /* one sum behind the load: the dlc is what the next frame waits for */
-    *next += dlc;
-    if (!CANSER_LIKELY(p[0] == START) || !CANSER_LIKELY(dlc <= DLC_MAX) ||
-        !CANSER_LIKELY(!(id & FLAGS_RARE)) || !CANSER_LIKELY(p[HEADER + dlc] == END))
+/* Neither remote nor error frame. Any id over 11 bits is extended: with the flag
+ * of the extended id, too, it is over. The start mark was looked at with the end mark
+ * of the frame before. */
+CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *frame, uint32_t *raw)
+{
+    const uint8_t *const begin = *p;
+    const size_t dlc = begin[LEAD];
+    const uint32_t id = load_le32(begin + 6);
+
+    (void)lead; /* one sum behind the load: the dlc is what the next frame waits for */
+    *p = begin + HEADER + 1;
+    CANSER_OPAQUE(*p);
+    *p += dlc;
+    if (!CANSER_LIKELY(dlc <= DLC_MAX) || !CANSER_LIKELY(!(id & FLAGS_RARE)) ||
+        !CANSER_LIKELY(load_le16(begin + HEADER + dlc) == (END | START << 8)))
         return false;
-    *raw = load_le32(p + 1);
-    store_frame(frame, id & ID_EXT_MAX, id > ID_STD_MAX, 0, 0, dlc, p + HEADER);
+    *raw = load_le32(begin + 1);
+    /* An id over 11 bits carries over into the next bit: fewer steps than a test. */
+    const uint64_t ext = (id + (UINT64_C(1) << 32) - (ID_STD_MAX + 1)) >> 32;
+    store_words(frame, FRAME_HEAD(id & ID_EXT_MAX, ext, 0, 0, dlc),
+                load_payload(begin + HEADER, dlc));
     return true;
 }
 
