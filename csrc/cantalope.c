@@ -44,11 +44,25 @@ CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *f
     return probe_frame(len);
 }
 
+/* What the low half of a header, less the id, says of a frame: a row in the place of a test
+ * whether it is remote. */
+typedef struct {
+    uint64_t flags;   /* rtr and dlc, where the record has them */
+    uint64_t payload; /* the bytes of the payload */
+} header_kind;
+
+#define KIND(dlc, rtr) {FRAME_HEAD(0, 0, rtr, 0, dlc), (rtr) ? 0 : FIRST_BYTES(dlc)}
+#define NONE           {0, 0}
+#define KINDS(rtr)                                                                                 \
+    KIND(0, rtr), KIND(1, rtr), KIND(2, rtr), KIND(3, rtr), KIND(4, rtr), KIND(5, rtr),            \
+        KIND(6, rtr), KIND(7, rtr), KIND(8, rtr), NONE, NONE, NONE, NONE, NONE, NONE, NONE
+
+static const header_kind header_kinds[] = {KINDS(0), KINDS(1)};
+
 CANSER_INLINE bool probe_plain(const uint8_t *p, canser_frame *frame, uint32_t *raw,
                                const uint8_t **next)
 {
-    const size_t dlc = p[1] & 0xF;
-    const unsigned rtr = p[1] >> 4 & 1;
+    const size_t low = p[1], dlc = low & 0xF;
 
     (void)raw;
     *next = p + HEADER;
@@ -56,20 +70,25 @@ CANSER_INLINE bool probe_plain(const uint8_t *p, canser_frame *frame, uint32_t *
     *next += dlc;
     if (!CANSER_LIKELY(dlc <= DLC_MAX))
         return false;
-    store_frame(frame, (uint32_t)p[0] << 3 | p[1] >> 5, 0, rtr, 0, dlc, p + HEADER);
+    const header_kind *const kind = &header_kinds[low & 0x1F];
+    const uint32_t id = (uint32_t)p[0] << 3 | (uint32_t)low >> 5;
+    store_words(frame, FRAME_HEAD(id, 0, 0, 0, 0) | kind->flags,
+                load_word(p + HEADER) & kind->payload);
     return true;
 }
 
 #if CANSER_VECTOR
 
-enum { SURVEY_FIRST = CANSER_REJECT_DLC, SURVEY_SECOND = CANSER_REJECT_COMMAND };
+enum { SURVEY_REST = CANSER_REJECT_DLC };
 
-CANSER_INLINE surveyed survey(const uint8_t *p)
+CANSER_INLINE surveyed survey(const uint8_t *p, const bool exact)
 {
+    (void)exact;
     const uint64_t dlc = survey_at_most(p + 1, 0x0F, DLC_MAX);
-    const uint64_t command = survey_equal(p, COMMAND) & survey_equal(p + 1, COMMAND);
+    const uint64_t marks = survey_equal(p, COMMAND);
+    const uint64_t command = marks & (marks >> 1 | (uint64_t)(p[SURVEY] == COMMAND) << 63);
     const uint64_t known = command ? survey_at_most(p + 2, 0xFF, ERROR_REPORT) : 0;
-    return (surveyed){dlc | (command & known), command & ~known};
+    return (surveyed){.open = dlc | (command & known), .command = command & ~known};
 }
 
 #endif
@@ -90,6 +109,7 @@ CANSER_INLINE unsigned emit(const canser_frame *frame, uint32_t raw, uint8_t *ou
 #define HAS_CLOCK 0
 #define HAS_EXT   0
 #define HAS_ERR   0
+#define FRAME_MIN HEADER
 #define FRAME_MAX (HEADER + DLC_MAX)
 #include "scan.h"
 
@@ -98,7 +118,7 @@ static const struct canser_codec codec = {scan, encode};
 const canser_protocol canser_protocol_cantalope = {
     .name = "cantalope",
     .aliases = "",
-    .frame_min = HEADER,
+    .frame_min = FRAME_MIN,
     .frame_max = FRAME_MAX,
     .has_clock = HAS_CLOCK,
     .codec = &codec,

@@ -23,6 +23,7 @@ CANSER_PROTOCOLS(CANSER_DECLARE)
 #if defined(__GNUC__)
 #define CANSER_INLINE            static inline __attribute__((always_inline))
 #define CANSER_COLD              static __attribute__((noinline, cold))
+#define CANSER_APART             static __attribute__((noinline)) /* rare, and yet to be fast */
 #define CANSER_LIKELY(x)         __builtin_expect(!!(x), 1)
 #define CANSER_PREFETCH_READ(p)  __builtin_prefetch((p), 0)
 #define CANSER_PREFETCH_WRITE(p) __builtin_prefetch((p), 1)
@@ -32,6 +33,7 @@ CANSER_PROTOCOLS(CANSER_DECLARE)
 #elif defined(_MSC_VER)
 #define CANSER_INLINE            static __forceinline
 #define CANSER_COLD              static __declspec(noinline)
+#define CANSER_APART             static __declspec(noinline)
 #define CANSER_LIKELY(x)         (x)
 #define CANSER_PREFETCH_READ(p)  ((void)(p))
 #define CANSER_PREFETCH_WRITE(p) ((void)(p))
@@ -39,6 +41,7 @@ CANSER_PROTOCOLS(CANSER_DECLARE)
 #else
 #define CANSER_INLINE            static inline
 #define CANSER_COLD              static
+#define CANSER_APART             static
 #define CANSER_LIKELY(x)         (x)
 #define CANSER_PREFETCH_READ(p)  ((void)(p))
 #define CANSER_PREFETCH_WRITE(p) ((void)(p))
@@ -200,7 +203,8 @@ CANSER_INLINE uint64_t load_payload(const uint8_t *p, size_t dlc)
 CANSER_INLINE void store_frame(canser_frame *frame, uint32_t id, unsigned ext, unsigned rtr,
                                unsigned err, size_t dlc, const uint8_t *payload)
 {
-    store_words(frame, FRAME_HEAD(id, ext, rtr, err, dlc), load_payload(payload, rtr ? 0 : dlc));
+    store_words(frame, FRAME_HEAD(id, ext, rtr, err, dlc),
+                load_payload(payload, dlc & ((size_t)rtr - 1)));
 }
 
 /* Whether the format cannot carry a frame: a dlc over 8, an id over the limit of
