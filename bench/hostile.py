@@ -15,6 +15,32 @@ PATTERN = 1 << 22
 # Every byte that means something in `seeed` or `serial`: marks and data length codes.
 MARKS = np.array([0xAA, 0xBB, 0x55, *range(9)], np.uint8)
 
+# Bytes chosen against one protocol: the patterns of a stream follow in any order.
+PATTERNS: dict[str, dict[str, list[str]]] = {
+    "cantalope": {
+        # No byte is safe: the shortest frame, and a byte with which none starts.
+        "shortest frames or one byte": ["01 00", "09"],
+    },
+    "seeed": {
+        # At every other byte a packet of 20 bytes whose sum, the last byte, is wrong.
+        "near-packets": ["AA 55"],
+        # A packet whose sum holds, but whose third byte is out of range.
+        "near-packets with a sum": [
+            "AA 55 01 03 01 23 01 00 00 08 11 22 33 44 55 66 77 88 00 95",
+        ],
+        # At every other byte a frame whose id or end mark is wrong.
+        "starts": ["AA E8 AA 55 55"],
+        "shortest frames or one byte": ["AA C0 23 01 55", "01"],
+    },
+    "serial": {
+        # Five candidates in a row, and five bytes that are a dlc to each.
+        "starts": ["AA AA AA AA AA 08 08 08 08 08"],
+        # ... and five end marks, all at the wrong place but the first one's.
+        "starts and ends": ["AA AA AA AA AA 08 08 08 08 40 BB BB BB BB BB"],
+        "shortest frames or one byte": ["AA 00 00 00 00 00 01 00 00 00 BB", "01"],
+    },
+}
+
 
 def tiled(pattern: Bytes, size: int) -> Bytes:
     """Return `size` bytes of a pattern, again and again."""
@@ -40,9 +66,12 @@ def hostile(protocol: str, size: int) -> dict[str, Bytes]:
         "near-frames": near_frames(protocol, length, rng),
         "random bytes": rng.integers(0, 256, length, dtype=np.uint8),
     }
-    if protocol == "seeed":
-        # At every other byte a packet of 20 bytes whose sum, the last byte, is wrong.
-        streams["near-packets"] = tiled(np.array([0xAA, 0x55], np.uint8), length)
+    for name, patterns in PATTERNS[protocol].items():
+        units = [np.frombuffer(bytes.fromhex(pattern), np.uint8) for pattern in patterns]
+        if len(units) > 1:
+            order = rng.integers(0, len(units), length)
+            units = [np.concatenate([units[index] for index in order])]
+        streams[name] = tiled(units[0], length)
     return {name: tiled(stream, size) for name, stream in streams.items()}
 
 

@@ -78,14 +78,16 @@ CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *fr
 
 #if CANSER_VECTOR
 
-enum { SURVEY_FIRST = CANSER_REJECT_DLC, SURVEY_SECOND = CANSER_REJECT_COMMAND };
+enum { SURVEY_REST = CANSER_REJECT_DLC };
 
-CANSER_INLINE surveyed survey(const uint8_t *p)
+CANSER_INLINE surveyed survey(const uint8_t *p, const bool exact)
 {
+    (void)exact;
     const uint64_t dlc = survey_at_most(p + 1, 0x0F, DLC_MAX);
-    const uint64_t command = survey_equal(p, COMMAND) & survey_equal(p + 1, COMMAND);
+    const uint64_t marks = survey_equal(p, COMMAND);
+    const uint64_t command = marks & (marks >> 1 | (uint64_t)(p[SURVEY] == COMMAND) << 63);
     const uint64_t known = command ? survey_at_most(p + 2, 0xFF, ERROR_REPORT) : 0;
-    return (surveyed){dlc | (command & known), command & ~known};
+    return (surveyed){.open = dlc | (command & known), .command = command & ~known};
 }
 
 #endif
@@ -106,6 +108,7 @@ CANSER_INLINE unsigned emit(const canser_frame *frame, uint32_t raw, uint8_t *ou
 #define HAS_CLOCK 0
 #define HAS_EXT   0
 #define HAS_ERR   0
+#define FRAME_MIN HEADER
 #define FRAME_MAX (HEADER + DLC_MAX)
 #include "scan.h"
 
@@ -114,7 +117,7 @@ static const struct canser_codec codec = {scan, encode};
 const canser_protocol canser_protocol_cantalope = {
     .name = "cantalope",
     .aliases = "",
-    .frame_min = HEADER,
+    .frame_min = FRAME_MIN,
     .frame_max = FRAME_MAX,
     .has_clock = HAS_CLOCK,
     .codec = &codec,

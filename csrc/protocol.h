@@ -203,7 +203,8 @@ CANSER_INLINE uint64_t load_payload(const uint8_t *p, size_t dlc)
 CANSER_INLINE void store_frame(canser_frame *frame, uint32_t id, unsigned ext, unsigned rtr,
                                unsigned err, size_t dlc, const uint8_t *payload)
 {
-    store_words(frame, FRAME_HEAD(id, ext, rtr, err, dlc), load_payload(payload, rtr ? 0 : dlc));
+    store_words(frame, FRAME_HEAD(id, ext, rtr, err, dlc),
+                load_payload(payload, dlc & ((size_t)rtr - 1)));
 }
 
 /* Whether the format cannot carry a frame: a dlc over 8, an id over the limit of

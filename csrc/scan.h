@@ -4,6 +4,7 @@
  *   HAS_CLOCK   1 if its frames carry a device timestamp, else 0
  *   HAS_EXT     1 if it has extended frames, else 0
  *   HAS_ERR     1 if it has error frames, else 0
+ *   FRAME_MIN   the shortest frame in bytes
  *   FRAME_MAX   the longest frame in bytes
  *   probe()     what starts at `p`, of which `avail` bytes are the stream's and
  *               SCAN_WINDOW may be read. Checks the bytes in the order in which
@@ -16,7 +17,9 @@
  *               the frame at `p`: loaded one frame ahead, as all waits for it.
  *               May write what it is given at any time.
  *   begin_plain()  the first `lead`; false if no plain frame starts at `p`
- *   survey()    with vectors: where among 64 positions no packet starts, and why
+ *   survey()    with vectors: where among 64 positions a packet starts, and why none
+ *               does at the others. If it need not be `exact`, a constant in each
+ *               call, positions that only probe() can tell may be open, too.
  *   emit()      one frame to the wire; returns its length, never over
  *               SCAN_WINDOW. `raw` is the device timestamp to send; `plain`, a
  *               constant in each call: frame_is_plain().
@@ -27,39 +30,82 @@
  * times what passes during one access to memory. */
 enum { PREFETCH_IN = 1024, PREFETCH_OUT = 128 };
 
+/* A reject so few bytes behind the last one is one of many. */
+enum { NOISE_REACH = 8 };
+
 #if CANSER_VECTOR
+
+/* Count the rejects among the surveyed positions that were skipped, all but those for
+ * SURVEY_REST. Returns how many. */
+CANSER_INLINE uint64_t count_rejects(canser_stats *stats, const surveyed *seen, uint64_t skipped)
+{
+    uint64_t total = 0;
+
+/* What a wire format never says is a constant zero, and folds away. */
+#define COUNT(reason, mask)                                                                        \
+    if (mask) {                                                                                    \
+        const uint64_t count = count_bits((mask) & skipped);                                       \
+        stats->rejects[reason] += count;                                                           \
+        total += count;                                                                            \
+    }
+    COUNT(CANSER_REJECT_TYPE, seen->type)
+    COUNT(CANSER_REJECT_DLC, seen->dlc)
+    COUNT(CANSER_REJECT_ID, seen->id)
+    COUNT(CANSER_REJECT_END, seen->end)
+    COUNT(CANSER_REJECT_SUM, seen->sum)
+    COUNT(CANSER_REJECT_FIELD, seen->field)
+    COUNT(CANSER_REJECT_COMMAND, seen->command)
+#undef COUNT
+    return total;
+}
 
 /* From `p`, over rejects, to the first position where something else is found,
  * or where fewer than SURVEY positions are left. */
 CANSER_INLINE const uint8_t *resync_surveys(canser_stats *stats, const uint8_t *p,
                                             const uint8_t *stop)
 {
+    /* Behind noise the next frame is near: one position, then a few candidates are
+     * sooner asked than all are surveyed. Where that does not find it, an exact survey
+     * takes the same time whatever the bytes are. */
+    bool exact = false;
+
+    if (p < stop) {
+        canser_frame scratch;
+        uint32_t raw;
+        const probe_result found = probe(p, SCAN_WINDOW, &scratch, &raw);
+
+        if (found.kind != PROBE_REJECT)
+            return p;
+        stats->rejects[found.value]++;
+        p++;
+    }
     while (stop - p >= SURVEY) {
-        const surveyed seen = survey(p);
-        uint64_t left = seen.open;
-        size_t passed = SURVEY, probed = 0;
+        const surveyed seen = exact ? survey(p, true) : survey(p, false);
+        uint64_t left = seen.open, skipped = UINT64_MAX;
+        size_t passed = SURVEY, counted = 0;
 
         while (left) {
             canser_frame scratch;
             uint32_t raw;
             const size_t at = lowest_bit(left);
-            const probe_result found = probe(p + at, SCAN_WINDOW, &scratch, &raw);
+            const probe_result found =
+                exact ? probe_frame(0) : probe(p + at, SCAN_WINDOW, &scratch, &raw);
 
             if (found.kind != PROBE_REJECT) {
                 passed = at;
+                skipped = (UINT64_C(1) << at) - 1;
                 break;
             }
             stats->rejects[found.value]++;
-            probed++;
+            counted++;
             left &= left - 1;
         }
-        const uint64_t before = passed == SURVEY ? UINT64_MAX : (UINT64_C(1) << passed) - 1;
-        const size_t second = seen.second & before ? count_bits(seen.second & before) : 0;
-        stats->rejects[SURVEY_SECOND] += second;
-        stats->rejects[SURVEY_FIRST] += passed - probed - second;
+        counted += count_rejects(stats, &seen, skipped);
+        stats->rejects[SURVEY_REST] += passed - counted;
         p += passed;
         if (passed < SURVEY)
             break;
+        exact = true;
     }
     return p;
 }
@@ -68,9 +114,9 @@ CANSER_INLINE const uint8_t *resync_surveys(canser_stats *stats, const uint8_t *
 
 /* From a reject at `p`, for `reason`, to the next position where something else
  * is found, or the end of the scan. */
-CANSER_COLD const uint8_t *resync(canser_decoder *self, const uint8_t *p, const uint8_t *stop,
-                                  const uint8_t *end, uint64_t offset, size_t reason,
-                                  const scan_mode mode)
+CANSER_NOINLINE const uint8_t *resync(canser_decoder *self, const uint8_t *p, const uint8_t *stop,
+                                      const uint8_t *end, uint64_t offset, size_t reason,
+                                      const scan_mode mode)
 {
     canser_stats *const stats = &self->stats;
     const uint8_t *const begin = p;
@@ -181,6 +227,85 @@ CANSER_NOINLINE plain_stop take_plain_offsets(const uint8_t *p, canser_frame *fr
     return plain_loop(p, frame, until, clock, offsets, shift);
 }
 
+#if CANSER_VECTOR
+
+/* Whether a reject at `p` is one of many, with input and room enough for scan_noise(). */
+CANSER_INLINE bool is_noise(const canser_decoder *self, const uint8_t *p, const uint8_t *stop,
+                            ptrdiff_t room, uint64_t offset)
+{
+    return offset != self->skip_end && offset - self->skip_end < NOISE_REACH &&
+           stop - p >= SURVEY && room > SURVEY / FRAME_MIN;
+}
+
+/* From a reject at `p`, through noise that is full of frames: survey SURVEY positions,
+ * take the frames among them, and count all that they do not cover. Until among so many
+ * there is no frame or nothing else, a control packet is found, or too little is left of
+ * the input or the room. `offset` is that of the reject, `number` that of the next frame. */
+CANSER_NOINLINE const uint8_t *scan_noise(canser_decoder *self, const uint8_t *p,
+                                          const uint8_t *stop, uint64_t offset, canser_batch *batch,
+                                          uint64_t number)
+{
+    canser_stats *const stats = &self->stats;
+    canser_frame *frame = batch->frames + batch->frame_count;
+    const canser_frame *const frames_end = batch->frames + batch->frame_cap;
+    int64_t *offsets = batch->offsets ? batch->offsets + batch->frame_count : NULL;
+    canser_clock clock = self->clock;
+    uint64_t skip_end = self->skip_end, bytes_skipped = 0, counted = 0, resyncs = 0;
+    bool done = false;
+
+    while (!done && stop - p >= SURVEY && frames_end - frame > SURVEY / FRAME_MIN) {
+        const surveyed seen = survey(p, true);
+        const canser_frame *const first = frame;
+        uint64_t left = seen.open, skipped = 0;
+        size_t passed = 0;
+
+        /* Bit 0 of `left` is position `passed`. */
+        while (left) {
+            const size_t ahead = lowest_bit(left);
+            const uint8_t *const found_at = p + passed + ahead;
+            uint32_t raw;
+
+            skipped |= ((UINT64_C(1) << ahead) - 1) << passed;
+            passed += ahead;
+            const probe_result found = probe(found_at, SCAN_WINDOW, frame, &raw);
+            if (found.kind != PROBE_FRAME) {
+                done = true;
+                break;
+            }
+            frame->ts = HAS_CLOCK ? clock_advance(&clock, raw, number, stats) : CANSER_NO_TIME;
+            number++;
+            if (offsets)
+                *offsets++ = (int64_t)(offset + passed);
+            frame++;
+            left >>= ahead;
+            left >>= found.value;
+            passed += found.value;
+        }
+        if (!done && passed < SURVEY) {
+            skipped |= UINT64_MAX << passed;
+            passed = SURVEY;
+        }
+        done = done || !skipped || frame == first;
+        if (skipped) {
+            resyncs += count_bits(skipped & ~(skipped << 1 | (offset == skip_end)));
+            skip_end = offset + highest_bit(skipped) + 1;
+            bytes_skipped += count_bits(skipped);
+            counted += count_rejects(stats, &seen, skipped);
+        }
+        p += passed;
+        offset += passed;
+    }
+    stats->rejects[SURVEY_REST] += bytes_skipped - counted;
+    stats->resyncs += resyncs;
+    stats->bytes_skipped += bytes_skipped;
+    self->skip_end = skip_end;
+    self->clock = clock;
+    batch->frame_count = (size_t)(frame - batch->frames);
+    return p;
+}
+
+#endif
+
 CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, size_t pos,
                                   size_t stop_pos, size_t len, uint64_t base, canser_batch *batch,
                                   const scan_mode mode)
@@ -242,6 +367,20 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
             break;
         } else if (found.kind != PROBE_FRAME) {
             const size_t reason = found.kind == PROBE_REJECT ? found.value : CANSER_REJECT_CUT;
+#if CANSER_VECTOR
+            if (mode == SCAN_BODY && is_noise(self, p, stop, frames_end - frame, offset)) {
+                const uint8_t *const before = p;
+
+                batch->frame_count = (size_t)(frame - batch->frames);
+                self->clock = clock;
+                p = scan_noise(self, p, stop, offset, batch,
+                               number_before + (uint64_t)(frame - begin));
+                clock = self->clock;
+                frame = batch->frames + batch->frame_count;
+                if (p != before)
+                    continue;
+            }
+#endif
             p = resync(self, p, stop, end, offset, reason, mode);
         }
     }

@@ -45,7 +45,7 @@ CANSER_INLINE probe_result probe_rest(const uint8_t *p, size_t avail, canser_fra
     return probe_frame(len);
 }
 
-CANSER_COLD probe_result probe_flagged(const uint8_t *p, size_t avail, canser_frame *frame)
+CANSER_NOINLINE probe_result probe_flagged(const uint8_t *p, size_t avail, canser_frame *frame)
 {
     return probe_rest(p, avail, frame, true);
 }
@@ -98,13 +98,37 @@ CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *fr
 
 #if CANSER_VECTOR
 
-enum { SURVEY_FIRST = CANSER_REJECT_MARKER, SURVEY_SECOND = CANSER_REJECT_DLC };
+enum { SURVEY_REST = CANSER_REJECT_MARKER };
 
-CANSER_INLINE surveyed survey(const uint8_t *p)
+/* Whether the end mark is there, behind a good start mark and dlc; without a branch,
+ * which nobody could predict. */
+CANSER_INLINE bool has_end(const uint8_t *p)
+{
+    const unsigned rtr = p[9] >> (BIT_RTR - 24) & 1;
+    return (p[HEADER + p[5]] == END) | (rtr & (p[HEADER] == END));
+}
+
+CANSER_INLINE surveyed survey(const uint8_t *p, const bool exact)
 {
     const uint64_t start = survey_equal(p, START);
-    const uint64_t dlc = start ? survey_at_most(p + 5, 0xFF, DLC_MAX) : 0;
-    return (surveyed){start & dlc, start & ~dlc};
+    if (!start)
+        return (surveyed){0};
+    const uint64_t good = start & survey_at_most(p + 5, 0xFF, DLC_MAX);
+    if (!exact || !good)
+        return (surveyed){.open = good, .dlc = start & ~good};
+    const survey_marks ends = survey_find(p + HEADER, END);
+    const uint64_t near = good & survey_near(ends, DLC_MAX);
+    uint64_t open = 0;
+    if (count_bits(near) <= SURVEY_FEW) {
+        for (uint64_t left = near; left; left &= left - 1)
+            open |= has_end(p + lowest_bit(left)) ? left & (0 - left) : 0;
+    } else {
+        const uint64_t dlc[4] = {survey_has(p + 5, 0), survey_has(p + 5, 1), survey_has(p + 5, 2),
+                                 survey_has(p + 5, 3)};
+        const uint64_t rtr = survey_has(p + 9, BIT_RTR - 24);
+        open = near & (survey_ahead_by(ends, dlc, DLC_MAX) | (rtr & ends.low));
+    }
+    return (surveyed){.open = open, .dlc = start & ~good, .end = good & ~open};
 }
 
 #endif
@@ -126,6 +150,7 @@ CANSER_INLINE unsigned emit(const canser_frame *frame, uint32_t raw, uint8_t *ou
 #define HAS_CLOCK 1
 #define HAS_EXT   1
 #define HAS_ERR   1
+#define FRAME_MIN (HEADER + 1)
 #define FRAME_MAX (HEADER + DLC_MAX + 1)
 #include "scan.h"
 
@@ -134,7 +159,7 @@ static const struct canser_codec codec = {scan, encode};
 const canser_protocol canser_protocol_serial = {
     .name = "serial",
     .aliases = "python-can",
-    .frame_min = HEADER + 1,
+    .frame_min = FRAME_MIN,
     .frame_max = FRAME_MAX,
     .has_clock = HAS_CLOCK,
     .codec = &codec,

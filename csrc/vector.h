@@ -27,11 +27,21 @@
 /* Positions in one answer. */
 enum { SURVEY = 64 };
 
-/* What a wire format says of SURVEY positions. At each one that is in neither mask
- * the first byte alone rejects it, for the first of the format's two reasons. */
+/* So many candidates are sooner looked at one by one than all positions at once. */
+enum { SURVEY_FEW = 8 };
+
+/* What a wire format says of SURVEY positions: bit i of a mask speaks of position i.
+ * No position is in two masks. At one that is in none nothing starts, for the one
+ * reason of the format, SURVEY_REST, that has no mask. */
 typedef struct {
-    uint64_t open;   /* bit i: a packet may start at i, probe() must tell */
-    uint64_t second; /* bit i: none starts at i, for the second reason */
+    uint64_t open; /* a packet starts */
+    uint64_t type; /* none starts, for the reason of this name; so all that follow */
+    uint64_t dlc;
+    uint64_t id;
+    uint64_t end;
+    uint64_t sum;
+    uint64_t field;
+    uint64_t command;
 } surveyed;
 
 #if defined(__SSE2__)
@@ -63,7 +73,29 @@ CANSER_INLINE vec vec_at_most(vec a, vec b)
     return _mm_cmpeq_epi8(_mm_min_epu8(a, b), a);
 }
 
-/* The answers of four times 16 bytes, one bit each. */
+CANSER_INLINE vec vec_or(vec a, vec b)
+{
+    return _mm_or_si128(a, b);
+}
+
+CANSER_INLINE vec vec_add(vec a, vec b)
+{
+    return _mm_add_epi8(a, b);
+}
+
+/* An answer: whether a bit, a constant, is set. vec_bits reads the top bits only. */
+CANSER_INLINE vec vec_has(vec a, int bit)
+{
+    return _mm_slli_epi16(a, 7 - bit);
+}
+
+/* The answers of 16 bytes, one bit each. */
+CANSER_INLINE uint64_t vec_bits_one(vec a)
+{
+    return (uint64_t)(uint32_t)_mm_movemask_epi8(a);
+}
+
+/* The answers of four times 16 bytes. */
 CANSER_INLINE uint64_t vec_bits(vec a, vec b, vec c, vec d)
 {
     return (uint64_t)(uint32_t)_mm_movemask_epi8(a) |
@@ -101,6 +133,22 @@ CANSER_INLINE vec vec_at_most(vec a, vec b)
     return vcleq_u8(a, b);
 }
 
+CANSER_INLINE vec vec_or(vec a, vec b)
+{
+    return vorrq_u8(a, b);
+}
+
+CANSER_INLINE vec vec_add(vec a, vec b)
+{
+    return vaddq_u8(a, b);
+}
+
+/* An answer: whether a bit, a constant, is set. */
+CANSER_INLINE vec vec_has(vec a, int bit)
+{
+    return vtstq_u8(a, vdupq_n_u8((uint8_t)(1 << bit)));
+}
+
 /* The answers of four times 16 bytes, one bit each: a weight for each lane, then
  * sums of neighbours until eight lanes have become one byte. */
 CANSER_INLINE uint64_t vec_bits(vec a, vec b, vec c, vec d)
@@ -113,6 +161,13 @@ CANSER_INLINE uint64_t vec_bits(vec a, vec b, vec c, vec d)
     return vgetq_lane_u64(vreinterpretq_u64_u8(vpaddq_u8(abcd, abcd)), 0);
 }
 
+#endif
+
+#ifdef __aarch64__
+CANSER_INLINE uint64_t vec_bits_one(vec a)
+{
+    return vec_bits(a, a, a, a) & 0xFFFF;
+}
 #endif
 
 /* Bit i: whether p[i] is `byte`. */
@@ -132,10 +187,78 @@ CANSER_INLINE uint64_t survey_at_most(const uint8_t *p, uint8_t mask, uint8_t li
         vec_at_most(vec_and(vec_load(p + 32), m), l), vec_at_most(vec_and(vec_load(p + 48), m), l));
 }
 
+/* Bit i: whether `bit` of p[i] is set. */
+CANSER_INLINE uint64_t survey_has(const uint8_t *p, int bit)
+{
+    return vec_bits(vec_has(vec_load(p), bit), vec_has(vec_load(p + 16), bit),
+                    vec_has(vec_load(p + 32), bit), vec_has(vec_load(p + 48), bit));
+}
+
+/* Answers for SURVEY positions, and for so many behind them. */
+enum { SURVEY_BEHIND = 10 };
+
+typedef struct {
+    uint64_t low, high;
+} survey_marks;
+
+/* Where `byte` stands. */
+CANSER_INLINE survey_marks survey_find(const uint8_t *p, uint8_t byte)
+{
+    /* 16 bytes that end with the last one asked for: more may not be there. */
+    const unsigned repeated = 16 - SURVEY_BEHIND;
+    const vec behind = vec_equal(vec_load(p + SURVEY - repeated), vec_fill(byte));
+    return (survey_marks){survey_equal(p, byte), vec_bits_one(behind) >> repeated};
+}
+
+/* The answers `by` positions further on, by a constant of 0 to SURVEY_BEHIND. */
+CANSER_INLINE uint64_t survey_ahead(survey_marks marks, int by)
+{
+    return marks.low >> by | marks.high << 1 << (63 - by);
+}
+
+/* Bit i: whether any answer from i to i + `most` is yes; a constant of 8 to 10. */
+CANSER_INLINE uint64_t survey_near(survey_marks marks, const int most)
+{
+    uint64_t far = 0;
+
+    for (int by = 8; by <= most; by++)
+        far |= survey_ahead(marks, by);
+    for (int by = 1; by < 8; by *= 2)
+        marks = (survey_marks){marks.low | survey_ahead(marks, by), marks.high | marks.high >> by};
+    return marks.low | far;
+}
+
+/* Bit by bit: b where `choose` is set, else a. */
+CANSER_INLINE uint64_t survey_choose(uint64_t choose, uint64_t a, uint64_t b)
+{
+    return a ^ ((a ^ b) & choose);
+}
+
+/* Bit i: the answer n positions ahead of i, where n is a number of four bits for each
+ * position, n[0] the lowest ones, and at most `most`, a constant of 8 or 10. */
+CANSER_INLINE uint64_t survey_ahead_by(survey_marks marks, const uint64_t n[4], const int most)
+{
+    uint64_t at[11];
+
+    for (int by = 0; by <= most; by++)
+        at[by] = survey_ahead(marks, by);
+    for (int by = 0; by < most; by += 2)
+        at[by] = survey_choose(n[0], at[by], at[by + 1]);
+    for (int by = 0; by + 2 <= most; by += 4)
+        at[by] = survey_choose(n[1], at[by], at[by + 2]);
+    return survey_choose(n[3], survey_choose(n[2], at[0], at[4]), at[8]);
+}
+
 /* The number of the lowest bit that is set; `bits` is not 0. */
 CANSER_INLINE size_t lowest_bit(uint64_t bits)
 {
-    return (size_t)__builtin_ctzll(bits);
+    return (unsigned)__builtin_ctzll(bits);
+}
+
+/* The number of the highest one. */
+CANSER_INLINE size_t highest_bit(uint64_t bits)
+{
+    return 63 - (unsigned)__builtin_clzll(bits);
 }
 
 /* How many bits are set. The baselines have no instruction for it. */

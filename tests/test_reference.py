@@ -282,6 +282,124 @@ def test_one_byte_over_and_over(protocol: str, byte: int) -> None:
         judge(protocol, bytes([byte]) * length + good + b"\xaa", [], [64], "ms")
 
 
+# --- long noise, of which many positions are looked at at once ---
+
+
+def hex_units(*units: str) -> list[bytes]:
+    return [bytes.fromhex(unit) for unit in units]
+
+
+def fixed(body: str) -> bytes:
+    """Return a fixed packet of `seeed` whose sum holds."""
+    content = bytes.fromhex(body)
+    return b"\xaa\x55" + content + bytes([sum(content) & 0xFF])
+
+
+# What noise is made of: whole packets and what nearly is one, by the rule that it breaks.
+UNITS_OF_NOISE = {
+    "cantalope": [
+        *hex_units("09", "0F", "FF", "FF FF", "FF FF 02", "FF FF FF 01", "FF FF 02 00 00"),
+        *hex_units("01 00", "01 10", "24 61 AA", "24 78 FF FF 09 09 09 09 09 09", "FF 02 00 00"),
+        *hex_units("FF FF 00", "FF FF 01 07"),
+    ],
+    "seeed": [
+        *hex_units("AA", "55", "AA 55", "AA 55 01 55", "AA BF", "01"),
+        *hex_units("AA C9", "AA EF", "AA C2 00 08", "AA E1 00 00 00 20", "AA D0 FF 08"),
+        *hex_units("AA C0", "AA C8", "AA E8 AA AA", "AA E8 AA 55 55", "AA F8 01 02 03 04 07"),
+        *hex_units("AA C0 23 01 55", "AA C1 FF 07 55 55", "AA E0 FF FF FF 1F 55"),
+        *hex_units("AA E8 01 02 03 04 11 22 33 44 55 66 77 88 55", "AA C8 01 02 AA C0 00 01 55"),
+        *hex_units("AA D0 23 01 55", "AA D8 23 01 55", "AA D2 23 01 00 00 55"),
+        *hex_units("AA E6 55 01 AA 01 AA C1 55 01 AA C1 55"),
+        *hex_units("AA E7 55 01 AA 01 AA C1 55 01 AA C1 55 55"),
+        *hex_units("AA F0 01 02 03 04 55", "AA F8 01 02 03 04 01 02 03 04 05 06 07 08 55"),
+        *hex_units("AA F8 01 02 03 04 55", "AA D8 23 01 01 02 03 04 05 06 07 08 AA"),
+        fixed("01 01 01 FF 07 00 00 08 11 22 33 44 55 66 77 88 00"),
+        fixed("01 02 02 FF FF FF 1F 00 11 22 33 44 55 66 77 88 00"),
+        fixed("04 01 02" + 14 * " 00"),
+        fixed("01 03 01 23 01 00 00 08" + 9 * " 00"),
+        fixed("01 01 00 23 01 00 00 08" + 9 * " 00"),
+        fixed("01 01 03 23 01 00 00 08" + 9 * " 00"),
+        fixed("01 00 01 23 01 00 00 08" + 9 * " 00"),
+        fixed("01 01 01 00 08 00 00 08" + 9 * " 00"),
+        fixed("01 01 01 00 00 01 00 08" + 9 * " 00"),
+        fixed("01 01 01 00 00 00 01 08" + 9 * " 00"),
+        fixed("01 02 01 00 00 00 20 08" + 9 * " 00"),
+        fixed("01 01 01 23 01 00 00 09" + 9 * " 00"),
+        fixed("01 01 01 23 01 00 00 08" + 8 * " 00" + " 01"),
+        fixed("01 01 01 23 01 00 00 08" + 9 * " 00")[:-1],
+    ],
+    "serial": [
+        *hex_units("AA", "BB", "08", "01", "AA AA AA AA AA 08 08 08 08 08"),
+        *hex_units("AA AA AA AA AA 08 08 08 08 08 BB BB BB BB BB", "AA 00 00 00 00 09"),
+        *hex_units("AA AA AA AA AA 08 08 08 08 40 BB BB BB BB BB", "AA 01 02 03 04 10 BB BB"),
+        *[
+            b"\xaa\x01\x02\x03\x04" + bytes([dlc, 0x23, 0x01, 0, flags]) + bytes(length) + end
+            for dlc in range(9)
+            for flags in (0x00, 0x40, 0x80, 0xE0)
+            for length in {0, dlc, 7}
+            for end in (b"\xbb", b"\x00")
+        ],
+    ],
+}
+
+
+def long_noise(protocol: str, chance: random.Random) -> bytes:
+    """Return stretches of one, two or many units each: sparse, dense, regular and not."""
+    stream = bytearray()
+    while len(stream) < 6000:
+        units = chance.choices(UNITS_OF_NOISE[protocol], k=chance.choice((1, 2, 2, 3, 12)))
+        length = chance.choice((20, 200, 600))
+        part = bytearray().join(chance.choices(units, k=length))[:length]
+        if chance.random() < 0.3:
+            for place in chance.choices(range(len(part)), k=len(part) // 20):
+                part[place] = chance.choice(ALPHABET[protocol])
+        stream += part
+        # Noise that stands by itself among frames.
+        good = Frame(chance.randrange(ID_MAX), dlc=8, data=chance.randbytes(8), ts=0)
+        stream += reference.encode([good] * chance.randrange(20), protocol) + b"\xbf\x0f"
+    return bytes(stream)
+
+
+@every_protocol
+@pytest.mark.parametrize("seed", range(8))
+def test_long_noise(protocol: str, seed: int) -> None:
+    chance = random.Random(seed)
+    stream = long_noise(protocol, chance)
+    cuts = [chance.randrange(len(stream)) for _ in range(3)]
+    for rooms in ([8000], [40, 1, 200]):
+        judge(protocol, stream, cuts, rooms, "ms")
+
+
+# Candidates without end, and no packet among them.
+DENSE = {
+    "cantalope": "09",
+    "seeed": "AA D8 55 01",
+    "serial": "AA AA AA AA AA 08 08 08 08 08 BB BB BB BB BB",
+}
+
+
+@every_protocol
+@pytest.mark.parametrize("seed", range(4))
+def test_packets_in_dense_noise(protocol: str, seed: int) -> None:
+    chance = random.Random(seed)
+    dense = bytes.fromhex(DENSE[protocol])
+    stream = bytearray()
+    for unit in UNITS_OF_NOISE[protocol]:
+        stream += dense * (chance.randrange(90, 220) // len(dense))
+        stream += unit * chance.randrange(1, 4)
+    judge(protocol, bytes(stream), [], [5000], "ms")
+
+
+@every_protocol
+@pytest.mark.parametrize("unit", range(12))
+def test_one_unit_over_and_over(protocol: str, unit: int) -> None:
+    # Behind runs of every length, so that it lies anywhere in what is looked at at once.
+    units = UNITS_OF_NOISE[protocol]
+    for chosen in units[unit::12]:
+        stream = b"".join(chosen * times + b"\x0f\xbf" * times for times in range(1, 24))
+        judge(protocol, stream, [], [5000], "ms")
+
+
 @every_protocol
 def test_many_control_packets(protocol: str) -> None:
     # More of them in one piece than any buffer between C and Python is likely to hold.
