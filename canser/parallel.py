@@ -123,6 +123,7 @@ class Ahead:
                     while not claim.decoded:
                         self._changed.wait()
                     self._claims.popleft()
+                    self._from = self._stop = claim.stop
             if claim is None or position < claim.first:
                 yield stop
             elif self._stream.join(claim.chunk):
