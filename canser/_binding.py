@@ -127,7 +127,10 @@ def input_bytes(data: BytesLike) -> Pointer:
     # What nothing can be wrong with goes the short way.
     if type(data) is bytes:
         return ffi.from_buffer("uint8_t[]", data)
-    return ffi.from_buffer("uint8_t[]", _check_bytes(data))
+    view = _check_bytes(data)
+    # A pointer that holds a memoryview, in a cycle such as an exception and its frames,
+    # crashes the garbage collector of Python before 3.12.7. It does not look into arrays.
+    return ffi.from_buffer("uint8_t[]", np.frombuffer(view, np.uint8))
 
 
 def as_bytes(data: BytesLike) -> npt.NDArray[np.uint8]:

@@ -145,11 +145,11 @@ class Blocks(Iterator[FrameArray]):
         for block in sink.take(last=True):
             yield self._block(block, len(block))
         self._pieces = _map_pieces(file, start + self.bytes_done, size)
-        yield from self._run()
+        yield from self._run(sink.begun)
 
-    def _run(self) -> Generator[FrameArray, None, None]:
+    def _run(self, count: int = 0) -> Generator[FrameArray, None, None]:
+        """Yield the blocks of the pieces; `count` frames are in `out` already."""
         out, at = self._room()
-        count = 0
         for piece in self._pieces:
             done = 0
             while done < len(piece):
@@ -192,6 +192,8 @@ class Blocks(Iterator[FrameArray]):
 
 class _Fresh:
     """A new array for each block: a helper's as it is, or one that the caller fills."""
+
+    begun = 0  # frames in a block that is not full: none, at the end
 
     def __init__(self, decoder: Decoder) -> None:
         self._make_chunk = decoder.make_chunk
@@ -243,7 +245,7 @@ class _Reused:
     def __init__(self, decoder: Decoder, out: FrameArray, offsets: Offsets | None) -> None:
         self._make_chunk = decoder.make_chunk
         self._out, self._offsets = out, offsets
-        self._count = 0
+        self.begun = 0  # frames in `out`
         # Of a helper's frames those that `out` had no room for.
         self._rest = np.empty(0, FRAME_DTYPE)
         self._rest_offsets = np.empty(0, np.int64)
@@ -252,10 +254,10 @@ class _Reused:
         return self._make_chunk(offsets=self._offsets is not None)
 
     def room(self) -> tuple[Pointer, int, Pointer]:
-        return output_room(self._out, self._count, self._offsets)
+        return output_room(self._out, self.begun, self._offsets)
 
     def wrote(self, count: int) -> None:
-        self._count += count
+        self.begun += count
 
     def place(self, chunk: Chunk) -> Callable[[], None]:
         # Copied here and now: the helper may take its room again.
@@ -265,22 +267,22 @@ class _Reused:
         self._refill()
         return lambda: None
 
-    def take(self, *, last: bool) -> Iterator[FrameArray]:
-        """Yield `out` as often as it is full, and the last time what is in it."""
-        while self._count == len(self._out) or (last and self._count):
-            block, self._count = self._out[: self._count], 0
+    def take(self, *, last: bool) -> Iterator[FrameArray]:  # noqa: ARG002 - as _Fresh
+        """Yield `out` as often as it is full."""
+        while self.begun == len(self._out):
+            block, self.begun = self._out[: self.begun], 0
             yield block
             self._refill()
 
     def _refill(self) -> None:
-        begin = self._count
+        begin = self.begun
         fits = min(len(self._rest), len(self._out) - begin)
         self._out[begin : begin + fits] = self._rest[:fits]
         self._rest = self._rest[fits:]
         if self._offsets is not None:
             self._offsets[begin : begin + fits] = self._rest_offsets[:fits]
             self._rest_offsets = self._rest_offsets[fits:]
-        self._count += fits
+        self.begun += fits
 
 
 def read(

@@ -215,8 +215,12 @@ class Decoder:
             return False
         self._controls.append(rows)
         self._controls_held += len(rows)
-        while self._controls_held - len(self._controls[0]) >= _CONTROLS_KEPT:
-            dropped = len(self._controls.popleft())
+        # One by one, so that it does not matter how the stream was cut.
+        while (excess := self._controls_held - _CONTROLS_KEPT) > 0:
+            oldest = self._controls.popleft()
+            if excess < len(oldest):
+                self._controls.appendleft(oldest[excess:])
+            dropped = min(excess, len(oldest))
             self._controls_held -= dropped
             self._controls_dropped += dropped
         return True
@@ -376,10 +380,12 @@ class _Growing(_Array):
             self._copying += 1
 
         def deliver() -> None:
-            chunk.deliver(target, chunk.count)
-            with self._copied:
-                self._copying -= 1
-                self._copied.notify_all()
+            try:
+                chunk.deliver(target, chunk.count)
+            finally:
+                with self._copied:
+                    self._copying -= 1
+                    self._copied.notify_all()
 
         return deliver
 

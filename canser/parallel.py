@@ -7,6 +7,7 @@ starts where the stream stands: then it is right, and that takes as long for man
 as for few. If not, it is thrown away, and the calling thread decodes it like any other.
 """
 
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -82,18 +83,34 @@ class Ahead:
         ]
 
     def __enter__(self) -> Self:
-        for helper in self._helpers:
-            helper.start()
+        try:
+            for helper in self._helpers:
+                helper.start()
+        except BaseException:
+            self._close()
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._close()
+        if self._failure is not None:
+            try:
+                raise self._failure
+            finally:
+                # Its frames hold this, and all the room: no cycle for the collector.
+                self._failure = None
+
+    def _close(self) -> None:
+        # An interpreter that ends has stopped the helpers wherever they were.
+        if sys.is_finalizing():
+            return
         with self._changed:
             self._closed = True
             self._changed.notify_all()
         for helper in self._helpers:
-            helper.join()
-        if self._failure is not None:
-            raise self._failure
+            # Who collects an iterator that was dropped may be a helper.
+            if helper.is_alive() and helper is not threading.current_thread():
+                helper.join()
 
     def __iter__(self) -> Iterator[int | Chunk]:
         while (position := self._stream.position) < self._end and self._failure is None:
@@ -107,6 +124,7 @@ class Ahead:
                     while not claim.decoded:
                         self._changed.wait()
                     self._claims.popleft()
+                    self._from = self._stop = claim.stop
             if claim is None or position < claim.first:
                 yield stop
             elif self._stream.join(claim.chunk):
@@ -151,9 +169,9 @@ class Ahead:
         return None
 
     def _help(self) -> None:
+        mine: deque[_Claim] = deque()
         try:
             spare = [self._make_chunk(), self._make_chunk()]
-            mine: deque[_Claim] = deque()
             while True:
                 claim = self._claim(spare[-1], wait=not mine) if spare else None
                 if claim is not None:
@@ -177,6 +195,10 @@ class Ahead:
                 for claim in self._claims:
                     claim.decoded = True
                 self._changed.notify_all()
+            # The caller may be waiting for what was joined before.
+            for claim in mine:
+                if self._is_decided(claim, wait=True) and claim.deliver is not None:
+                    claim.deliver()
 
     def _is_decided(self, claim: _Claim, *, wait: bool) -> bool:
         with self._changed:

@@ -1,5 +1,6 @@
 """Decoder, decode and encode: buffers, room, errors, threads. The wire is tested elsewhere."""
 
+import gc
 import array
 import ctypes
 import mmap
@@ -587,3 +588,18 @@ def test_input_is_not_held_after_the_call() -> None:
 
 def test_repr_can_be_typed() -> None:
     assert repr(canser.Decoder("waveshare", ts_unit="us")) == "Decoder('seeed', ts_unit='us')"
+
+
+def test_an_error_that_is_kept_is_collected() -> None:
+    # A cycle of an exception and its frames, one of which points to the caller's bytes:
+    # Python before 3.12.7 crashes where such a pointer holds a memoryview.
+    def keep(data: bytes) -> Exception:
+        try:
+            canser.decode(data, "serial", out=np.empty(1, FRAME_DTYPE))
+        except ValueError as error:
+            kept = error
+        return kept
+
+    for _ in range(100):
+        keep(b"\xaa" + bytes(9) + b"\xbb\xaa" + bytes(9) + b"\xbb")
+        gc.collect()
