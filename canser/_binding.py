@@ -358,12 +358,12 @@ class Chunk:
     """
 
     def __init__(self, protocol: Protocol, cap: int, *, offsets: bool) -> None:
-        self._protocol, self._cap = protocol, cap
+        self._protocol, self._most = protocol, cap
         self.offsets = np.empty(cap, np.int64) if offsets else None
         self._controls = np.empty(_CONTROL_CAP, _CONTROL_DTYPE)
         self.state = ffi.new("canser_chunk *")
         self._batch = ffi.new("canser_batch *")
-        self._take_room(self.make_room())
+        self._take_room(np.empty(cap, FRAME_DTYPE))
         if self.offsets is not None:
             # The pointer in a struct holds nothing: the array is held here.
             self._batch.offsets = ffi.from_buffer("int64_t[]", self.offsets)
@@ -373,7 +373,7 @@ class Chunk:
     def _take_room(self, room: FrameArray) -> None:
         self.frames = room
         self.frames_at = ffi.from_buffer("canser_frame[]", self.frames)
-        self._batch.frames, self._batch.frame_cap = self.frames_at, self._cap
+        self._batch.frames, self._batch.frame_cap = self.frames_at, len(room)
 
     def decode(self, data: Pointer, data_len: int, first: int, stop: int, offset: int) -> None:
         """Decode what starts in data[first..stop); `offset` is the stream's at data[0]."""
@@ -398,8 +398,11 @@ class Chunk:
         lib.canser_chunk_deliver(self.state, self.frames_at, first, count, out)
 
     def make_room(self) -> FrameArray:
-        """Return an array with as much room as this has."""
-        return np.empty(self._cap, FRAME_DTYPE)
+        """Return an array that should do for the next stretch, by what is in this one.
+
+        Where it does not, the stretch ends early.
+        """
+        return np.empty(min(self.count * 5 // 4 + 1024, self._most), FRAME_DTYPE)
 
     def hand_over(self, room: FrameArray) -> FrameArray:
         """Return the frames of the joined chunk, with their times, and take new room."""

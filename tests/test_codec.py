@@ -1,8 +1,8 @@
 """Decoder, decode and encode: buffers, room, errors, threads. The wire is tested elsewhere."""
 
-import gc
 import array
 import ctypes
+import gc
 import mmap
 import pickle
 import sys

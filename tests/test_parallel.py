@@ -6,7 +6,6 @@ other, so that every border falls where it hurts.
 
 import _thread
 import contextlib
-import functools
 import gc
 import mmap
 import random
@@ -30,7 +29,7 @@ import reference
 from canser import _binding, captures, codec, parallel
 from canser._binding import Chunk, Stream
 from canser.frames import FRAME_DTYPE, FrameArray
-from canser.parallel import Ahead, View
+from canser.parallel import Ahead
 from canser.traffic import line_noise, vehicle
 from reference import ID_EXT_MAX, ID_MAX, TICK_NS, Frame
 
@@ -184,14 +183,14 @@ def worst_case(worst: Worst) -> Iterator[Counter[str]]:
     def nap() -> None:
         time.sleep(chance.choice((0, 0, 0, 1e-4, 3e-4)))
 
-    class ShortSighted(Ahead):
-        def __init__(self, stream: Stream, view: View, *others: Any) -> None:
-            def near(first: int, stop: int) -> tuple[Any, int, int]:
-                data, data_len, offset = view(first, stop)
-                unseen = max(first - worst.run_up - offset, 0)
-                return data + unseen, data_len - unseen, offset + unseen
-
-            super().__init__(stream, near, *others)
+    def short_sighted(
+        chunk: Chunk, data: Any, data_len: int, first: int, stop: int, offset: int
+    ) -> None:
+        nap()
+        unseen = max(first - worst.run_up, 0)
+        real_decode(
+            chunk, data + unseen, data_len - unseen, first - unseen, stop - unseen, offset + unseen
+        )
 
     def join(stream: Stream, chunk: Chunk) -> bool:
         joined = real_join(stream, chunk)
@@ -206,7 +205,7 @@ def worst_case(worst: Worst) -> Iterator[Counter[str]]:
 
         return wrapper
 
-    real_join = Stream.join
+    real_join, real_decode = Stream.join, Chunk.decode
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(parallel, "STRETCH", worst.stretch)
         patch.setattr(codec, "STRETCH", worst.stretch)
@@ -214,10 +213,9 @@ def worst_case(worst: Worst) -> Iterator[Counter[str]]:
         patch.setattr(parallel, "_LEAD", worst.lead)
         patch.setattr(parallel, "_REST_MOST", worst.rest)
         patch.setattr(codec, "_SMALL", worst.small)
-        patch.setattr(codec, "Ahead", ShortSighted)
         patch.setattr(Stream, "join", join)
         patch.setattr(Stream, "advance", napping(Stream.advance))
-        patch.setattr(Chunk, "decode", napping(Chunk.decode))
+        patch.setattr(Chunk, "decode", short_sighted)
         patch.setattr(Chunk, "deliver", napping(Chunk.deliver))
         yield joins
 
@@ -462,8 +460,8 @@ def test_no_helper_takes_what_the_stream_has_passed(monkeypatch: pytest.MonkeyPa
     stream = Stream(protocol, 1)
     out = np.empty(1000, FRAME_DTYPE)
     target, cap, at = _binding.output_room(out, 0, None)
-    view = (data, len(raw), 0)
-    ahead = Ahead(stream, lambda _first, _stop: view, len(raw) - 24, lambda: chunk, 2)
+    stream.aim_at(target, cap, at)
+    ahead = Ahead(stream, data, len(raw), lambda: chunk, 2)
     chunk = Chunk(protocol, length, offsets=False)
     joined = 0
     claim = None
@@ -474,7 +472,7 @@ def test_no_helper_takes_what_the_stream_has_passed(monkeypatch: pytest.MonkeyPa
         else:
             position = stream.position
             stop = stretch - position
-            stream.advance(data + position, len(raw) - position, target, cap, at, stop=stop)
+            stream.advance(data + position, len(raw) - position, stop)
         if claim is None and (claim := ahead._claim(chunk, wait=False)):
             assert claim.first >= stream.position
             chunk.decode(data, len(raw), claim.first, claim.stop, 0)
@@ -698,7 +696,7 @@ def nth_call_fails(nth: int, call: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @pytest.mark.parametrize("nth", [1, 2, 3, 5])
-@pytest.mark.parametrize("where", ["__init__", "decode", "deliver", "hand_over", "_view"])
+@pytest.mark.parametrize("where", ["__init__", "decode", "deliver", "hand_over"])
 @pytest.mark.parametrize("how", ["decode", "read", "blocks", "blocks with out"])
 @pytest.mark.usefixtures("short")
 def test_what_a_helper_raises_is_raised_to_the_caller(
@@ -718,18 +716,11 @@ def test_what_a_helper_raises_is_raised_to_the_caller(
         "blocks": run_blocks,
         "blocks with out": lambda: run_blocks(np.empty(99, FRAME_DTYPE)),
     }
-    if where == "_view":
-        real_view = captures._view
-        failing = nth_call_fails(nth, lambda view, *bounds: view(*bounds))
-        monkeypatch.setattr(
-            captures, "_view", lambda *of: functools.partial(failing, real_view(*of))
-        )
-    else:
-        monkeypatch.setattr(Chunk, where, nth_call_fails(nth, getattr(Chunk, where)))
+    monkeypatch.setattr(Chunk, where, nth_call_fails(nth, getattr(Chunk, where)))
     raised = finish(runs[how])
     used = {"__init__", "decode", "deliver"}
     if how.startswith("blocks"):
-        used |= {"hand_over", "_view"}
+        used |= {"hand_over"}
     if nth <= 2 and where in used:
         assert isinstance(raised, MemoryError)
     assert raised is None or str(raised) == "none left"
