@@ -6,7 +6,6 @@ import os
 import stat
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import Future
 from typing import BinaryIO, Self, cast
 
 import numpy as np
@@ -197,7 +196,8 @@ class _Fresh:
 
     def __init__(self, decoder: Decoder) -> None:
         self._make_chunk = decoder.make_chunk
-        self._blocks: deque[Future[FrameArray]] = deque()
+        # In order; a place is empty until its helper has filled it.
+        self._blocks: deque[list[FrameArray]] = deque()
         self._out: FrameArray | None = None
         self._count = 0
 
@@ -216,26 +216,24 @@ class _Fresh:
 
     def place(self, chunk: Chunk) -> Callable[[], None]:
         self._close()
-        block: Future[FrameArray] = Future()
-        self._blocks.append(block)
+        place: list[FrameArray] = []
+        self._blocks.append(place)
         # Made here, for memory that this thread has freed is taken again; a helper's is not.
         room = chunk.make_room()
-        return lambda: block.set_result(chunk.hand_over(room))
+        return lambda: place.append(chunk.hand_over(room))
 
     def take(self, *, last: bool) -> Iterator[FrameArray]:
-        """Yield the blocks that are ready, in order; the last time all."""
+        """Yield the blocks that are ready, in order; the last time all are."""
         if last:
             self._close()
-        while self._blocks and (last or self._blocks[0].done()):
-            block = self._blocks.popleft().result()
+        while self._blocks and self._blocks[0]:
+            (block,) = self._blocks.popleft()
             if len(block):
                 yield block
 
     def _close(self) -> None:
         if self._out is not None and self._count:
-            block: Future[FrameArray] = Future()
-            block.set_result(self._out[: self._count])
-            self._blocks.append(block)
+            self._blocks.append([self._out[: self._count]])
             self._out = None
 
 
