@@ -357,8 +357,8 @@ class Chunk:
     For one thread at a time.
     """
 
-    def __init__(self, protocol: Protocol, cap: int, *, offsets: bool) -> None:
-        self._protocol, self._most = protocol, cap
+    def __init__(self, protocol: Protocol, tick_ns: int, cap: int, *, offsets: bool) -> None:
+        self._protocol, self._tick_ns, self._most = protocol, tick_ns, cap
         self.offsets = np.empty(cap, np.int64) if offsets else None
         self._controls = np.empty(_CONTROL_CAP, _CONTROL_DTYPE)
         self.state = ffi.new("canser_chunk *")
@@ -377,8 +377,9 @@ class Chunk:
 
     def decode(self, data: Pointer, data_len: int, first: int, stop: int, offset: int) -> None:
         """Decode what starts in data[first..stop); `offset` is the stream's at data[0]."""
+        row, tick_ns = self._protocol.row, self._tick_ns
         status = lib.canser_chunk_decode(
-            self.state, self._protocol.row, data, data_len, first, stop, offset, self._batch
+            self.state, row, tick_ns, data, data_len, first, stop, offset, self._batch
         )
         if status:
             _raise_status(status)

@@ -228,7 +228,7 @@ class Decoder:
     def make_chunk(self, *, offsets: bool) -> Chunk:
         """Return room for any stretch that a helper decodes; for this package's own use."""
         most = STRETCH // self._protocol.frame_min + 1
-        return Chunk(self._protocol, most, offsets=offsets)
+        return Chunk(self._protocol, tick_ns(self._ts_unit), most, offsets=offsets)
 
     def _collect(self, source: Pointer, *, ends: bool, threads: int = 1) -> FrameArray:
         """Decode all of `source` into a new array, of just the size; the lock is held."""

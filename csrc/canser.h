@@ -37,6 +37,9 @@ extern "C" {
 /* The bytes that must follow a position for canser_decoder_advance() to decide there. */
 #define CANSER_BEHIND 24
 
+/* The frames in which a chunk's clock must settle to be joined. */
+#define CANSER_SETTLE_MAX 64
+
 /* Status codes: the caller's mistakes, found before a byte is touched. */
 enum {
     CANSER_OK = 0,
@@ -158,11 +161,11 @@ typedef struct {
     uint64_t begin;      /* for the caller: the stream offset at which it starts, a guess */
     uint64_t end;        /* for the caller: the stream offset behind it */
     size_t frame_count;  /* for the caller: its frames */
-    canser_decoder tale; /* what it did, as a stream of its own, with times in ticks */
+    canser_decoder tale; /* what it did, as a stream of its own */
     uint8_t skips_first; /* 1: no packet starts at `begin` */
-    size_t settled;      /* joined: from this frame on a time needs the shift only */
-    uint64_t shift;      /* joined: ticks to add */
-    int64_t tick_ns;     /* joined: then nanoseconds in a tick */
+    size_t settled;      /* joined: so many frames have their times */
+    int64_t shift;       /* joined: nanoseconds to add to the times of the others */
+    uint32_t raws[CANSER_SETTLE_MAX]; /* device timestamps of the first frames */
 } canser_chunk;
 
 /* What canser_encode did. */
@@ -218,26 +221,26 @@ int canser_decoder_advance(canser_decoder *self, const uint8_t *data, size_t dat
  * batch is full, and before the last bytes of `data`, as canser_decoder_advance.
  *
  * The frames and offsets are in the batch, but not the times: canser_chunk_deliver()
- * makes them when the chunk is joined. Returns CANSER_OK, or CANSER_NULL,
- * CANSER_MISALIGNED or CANSER_OVERLAP before anything is done; with frame_cap 0 or
- * control_cap 0 and no frame to guess by it is CANSER_NULL, too. */
-int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, const uint8_t *data,
-                        size_t data_len, size_t first, size_t stop, uint64_t offset,
-                        canser_batch *batch);
+ * makes them when the chunk is joined. Returns CANSER_OK, or CANSER_NULL, CANSER_TICK,
+ * CANSER_MISALIGNED or CANSER_OVERLAP before anything is done; an array without room is
+ * CANSER_NULL, too. */
+int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, int64_t tick_ns,
+                        const uint8_t *data, size_t data_len, size_t first, size_t stop,
+                        uint64_t offset, canser_batch *batch);
 
 /* Join a chunk to the stream: counters, clock, and the place where it stands, as if
- * `self` had decoded those bytes. `frames` are the chunk's; the first few may get their
- * times here. Takes the same time for any number of frames, unless the device clock
- * leaps all the time. Returns CANSER_OK; CANSER_APART if the stream does not stand at
- * chunk->begin, or holds bytes, or is of another protocol: nothing was changed then;
- * CANSER_NULL. */
+ * `self` had decoded those bytes. `frames` are the chunk's; the first few get their times
+ * here. Takes the same time for any number of frames. Returns CANSER_OK; CANSER_NULL;
+ * CANSER_APART, and nothing was changed, if the stream does not stand at chunk->begin,
+ * holds bytes, is of another protocol or unit, or if the device clock leaps so often that
+ * it cannot be told what it does in the chunk. */
 int canser_decoder_join(canser_decoder *self, canser_chunk *chunk, canser_frame *frames);
 
 /* Copy frames[first..first + frame_count) of a joined chunk to `out`, with their times.
  * Where they lie there already they get their times; otherwise the two must not overlap.
  * Works on its own arguments alone: meanwhile the stream may go on. Returns CANSER_OK or
  * CANSER_NULL. */
-int canser_chunk_deliver(const canser_chunk *self, const canser_frame *frames, size_t first,
+int canser_chunk_deliver(const canser_chunk *self, canser_frame *frames, size_t first,
                          size_t frame_count, canser_frame *out);
 
 /* End the stream: a candidate that lacks bytes is a reject, and what is held is

@@ -14,53 +14,81 @@
  * marks nothing, it mostly takes a few hundred bytes. */
 enum { RUN_UP = 4096 };
 
-int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, const uint8_t *data,
-                        size_t data_len, size_t first, size_t stop, uint64_t offset,
-                        canser_batch *batch)
+/* Decode on from data[*pos] up to `stop`, behind what is in the batch already, until it
+ * holds `frame_cap` frames. */
+static int extend(canser_decoder *tale, const uint8_t *data, size_t data_len, size_t *pos,
+                  size_t stop, canser_batch *batch, size_t frame_cap)
 {
-    canser_decoder *const tale = self ? &self->tale : NULL;
-    int status = canser_decoder_init(tale, protocol, 1);
-    size_t pos = first < RUN_UP ? 0 : first - RUN_UP;
-    size_t used;
+    const size_t frames = batch->frame_count, controls = batch->control_count;
+    canser_batch rest = *batch;
+    size_t used = 0;
 
-    if (!batch || !batch->frame_cap || (batch->controls && !batch->control_cap))
+    if (*pos >= stop || frames >= frame_cap)
+        return CANSER_OK;
+    rest.frames += frames;
+    rest.frame_cap = frame_cap - frames;
+    if (rest.offsets)
+        rest.offsets += frames;
+    if (rest.controls) {
+        rest.controls += controls;
+        rest.control_cap -= controls;
+    }
+    const int status =
+        canser_decoder_advance(tale, data + *pos, data_len - *pos, stop - *pos, &rest, &used);
+    *pos += used;
+    batch->frame_count = frames + rest.frame_count;
+    batch->control_count = controls + rest.control_count;
+    return status;
+}
+
+int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, int64_t tick_ns,
+                        const uint8_t *data, size_t data_len, size_t first, size_t stop,
+                        uint64_t offset, canser_batch *batch)
+{
+    if (batch)
+        batch->frame_count = batch->control_count = 0;
+    if (!self || !protocol || !batch || (!data && data_len) || !batch->frame_cap ||
+        (batch->controls && !batch->control_cap))
         return CANSER_NULL;
+    first = first < data_len ? first : data_len;
+
+    canser_decoder *const tale = &self->tale;
+    int status = canser_decoder_init(tale, protocol, tick_ns);
+    size_t pos = first < RUN_UP ? 0 : first - RUN_UP;
+    size_t used = 1;
+
     /* An array that is full on the way is emptied: only where it ends counts. */
-    while (!status && pos < first && pos < data_len) {
+    while (!status && pos < first && used) {
         status =
             canser_decoder_advance(tale, data + pos, data_len - pos, first - pos, batch, &used);
-        if (!used)
-            break;
         pos += used;
     }
     if (status)
         return status;
 
-    canser_decoder_init(tale, protocol, 1);
-    tale->stats.bytes_in = offset + pos;
-    self->begin = offset + pos;
-    /* The first position alone, to see whether a packet starts there. */
-    status = canser_decoder_advance(tale, data + pos, data_len - pos, 1, batch, &used);
+    const size_t cap = batch->frame_cap;
+    const size_t settle_cap = cap < CANSER_SETTLE_MAX ? cap : CANSER_SETTLE_MAX;
+    canser_decoder_init(tale, protocol, tick_ns);
+    tale->stats.bytes_in = self->begin = offset + pos;
+    batch->frame_count = batch->control_count = 0;
+    /* The first position alone, to see whether a packet starts there; then the frames in
+     * which the clock must settle, in ticks; then the rest. */
+    tale->clock.tick_ns = 1;
+    status = extend(tale, data, data_len, &pos, pos < stop ? pos + 1 : pos, batch, settle_cap);
     self->skips_first = tale->stats.bytes_skipped != 0;
-    if (!status && used && stop > pos + used) {
-        canser_batch rest = *batch;
-        const size_t frames = batch->frame_count, controls = batch->control_count;
-
-        pos += used;
-        rest.frames += frames;
-        rest.frame_cap -= frames;
-        rest.offsets = rest.offsets ? rest.offsets + frames : NULL;
-        rest.controls = rest.controls ? rest.controls + controls : NULL;
-        rest.control_cap -= rest.controls ? controls : 0;
-        status = canser_decoder_advance(tale, data + pos, data_len - pos, stop - pos, &rest, &used);
-        batch->frame_count += rest.frame_count;
-        batch->control_count += rest.control_count;
-    }
+    if (!status)
+        status = extend(tale, data, data_len, &pos, stop, batch, settle_cap);
+    if (protocol->has_clock)
+        for (size_t i = 0; i < batch->frame_count; i++) {
+            self->raws[i] = (uint32_t)batch->frames[i].ts;
+            batch->frames[i].ts = (int64_t)((uint64_t)batch->frames[i].ts * (uint64_t)tick_ns);
+        }
+    tale->clock.tick_ns = tick_ns;
+    if (!status)
+        status = extend(tale, data, data_len, &pos, stop, batch, cap);
     self->end = tale->stats.bytes_in;
-    self->frame_count = batch->frame_count;
-    self->settled = self->frame_count;
+    self->frame_count = self->settled = batch->frame_count;
     self->shift = 0;
-    self->tick_ns = 1;
     return status;
 }
 
@@ -72,40 +100,49 @@ static bool clock_is_settled(const canser_clock *clock, uint64_t number)
 }
 
 /* Go on with the stream's clock where the chunk had begun with one of its own: frame by
- * frame until both are settled, and from there by one difference. */
-static void join_clock(canser_decoder *self, canser_chunk *chunk, canser_frame *frames)
+ * frame until both are settled, and from there by one difference. False, and nothing is
+ * changed, if they do not settle. */
+static bool join_clock(canser_decoder *self, canser_chunk *chunk, canser_frame *frames)
 {
     const canser_clock *const last = &chunk->tale.clock;
-    canser_clock *const clock = &self->clock;
-    canser_stats *const stats = &self->stats;
-    const uint64_t before = stats->frames;
-    canser_clock own = {.tick_ns = 1};
-    canser_stats own_stats = {0};
+    const uint64_t before = self->stats.frames;
+    const size_t most =
+        chunk->frame_count < CANSER_SETTLE_MAX ? chunk->frame_count : CANSER_SETTLE_MAX;
+    canser_clock clock = self->clock, own = {.tick_ns = clock.tick_ns};
+    canser_stats stats = self->stats, own_stats = {0};
+    int64_t times[CANSER_SETTLE_MAX];
+    bool settled = false;
     size_t i = 0;
 
-    for (bool settled = false; i < chunk->frame_count && !settled; i++) {
-        const uint32_t raw = (uint32_t)frames[i].ts;
-
-        clock_advance(&own, raw, i, &own_stats);
-        frames[i].ts = clock_advance(clock, raw, before + i, stats);
-        settled = clock_is_settled(&own, i) && clock_is_settled(clock, before + i);
+    for (; i < most && !settled; i++) {
+        clock_advance(&own, chunk->raws[i], i, &own_stats);
+        times[i] = clock_advance(&clock, chunk->raws[i], before + i, &stats);
+        settled = clock_is_settled(&own, i) && clock_is_settled(&clock, before + i);
     }
+    if (!settled && i < chunk->frame_count)
+        return false;
+    for (size_t k = 0; k < i; k++)
+        frames[k].ts = times[k];
     chunk->settled = i;
-    chunk->tick_ns = clock->tick_ns;
-    chunk->shift = clock->turned - own.turned;
-    stats->ts_wraps += chunk->tale.stats.ts_wraps - own_stats.ts_wraps;
-    stats->ts_backsteps += chunk->tale.stats.ts_backsteps - own_stats.ts_backsteps;
-    if (i == chunk->frame_count)
-        return;
-    clock->raw = last->raw;
-    if (last->jump_at != own.jump_at) {
-        clock->turned = last->turned + chunk->shift;
-        clock->line = last->line + chunk->shift;
-        clock->line_at = last->line_at + before;
-        clock->jump_at = last->jump_at + before;
-        clock->has_line = last->has_line;
-        clock->near_line = last->near_line;
+    if (i < chunk->frame_count) {
+        const uint64_t shift = clock.turned - own.turned;
+
+        chunk->shift = (int64_t)(shift * (uint64_t)clock.tick_ns);
+        clock.raw = last->raw;
+        if (last->jump_at != own.jump_at) {
+            clock.turned = last->turned + shift;
+            clock.line = last->line + shift;
+            clock.line_at = last->line_at + before;
+            clock.jump_at = last->jump_at + before;
+            clock.has_line = last->has_line;
+            clock.near_line = last->near_line;
+        }
     }
+    self->clock = clock;
+    self->stats.ts_wraps = stats.ts_wraps + chunk->tale.stats.ts_wraps - own_stats.ts_wraps;
+    self->stats.ts_backsteps =
+        stats.ts_backsteps + chunk->tale.stats.ts_backsteps - own_stats.ts_backsteps;
+    return true;
 }
 
 int canser_decoder_join(canser_decoder *self, canser_chunk *chunk, canser_frame *frames)
@@ -113,13 +150,13 @@ int canser_decoder_join(canser_decoder *self, canser_chunk *chunk, canser_frame 
     if (!self || !chunk || (!frames && chunk->frame_count))
         return CANSER_NULL;
     if (self->carry_len || self->stats.bytes_in != chunk->begin ||
-        self->protocol != chunk->tale.protocol)
+        self->protocol != chunk->tale.protocol || self->clock.tick_ns != chunk->tale.clock.tick_ns)
+        return CANSER_APART;
+    if (self->protocol->has_clock && !join_clock(self, chunk, frames))
         return CANSER_APART;
 
     canser_stats *const stats = &self->stats;
     const canser_stats *const more = &chunk->tale.stats;
-    if (self->protocol->has_clock)
-        join_clock(self, chunk, frames);
     stats->bytes_in = more->bytes_in;
     stats->bytes_framed += more->bytes_framed;
     stats->bytes_control += more->bytes_control;
@@ -139,7 +176,7 @@ int canser_decoder_join(canser_decoder *self, canser_chunk *chunk, canser_frame 
  * spares the read of each line that is going to be written over. */
 CANSER_INLINE void store_past(void *to, uint64_t word)
 {
-#if CANSER_VECTOR && defined(__SSE2__) && defined(__x86_64__)
+#if CANSER_VECTOR && defined(__x86_64__)
     _mm_stream_si64(to, (long long)word);
 #else
     memcpy(to, &word, sizeof word);
@@ -149,29 +186,31 @@ CANSER_INLINE void store_past(void *to, uint64_t word)
 /* What was stored past the cache is seen by other threads after this. */
 CANSER_INLINE void settle_stores(void)
 {
-#if CANSER_VECTOR && defined(__SSE2__) && defined(__x86_64__)
+#if CANSER_VECTOR && defined(__x86_64__)
     _mm_sfence();
 #endif
 }
 
-int canser_chunk_deliver(const canser_chunk *self, const canser_frame *frames, size_t first,
+int canser_chunk_deliver(const canser_chunk *self, canser_frame *frames, size_t first,
                          size_t frame_count, canser_frame *out)
 {
     if (!self || ((!frames || !out) && frame_count))
         return CANSER_NULL;
-    for (size_t i = first; i < first + frame_count; i++) {
-        const canser_frame *const frame = &frames[i];
-        canser_frame *const target = &out[i - first];
-        const uint64_t ts = (uint64_t)frame->ts;
-        const uint64_t due = i < self->settled ? ts : (ts + self->shift) * (uint64_t)self->tick_ns;
+    const size_t end = first + frame_count;
 
-        if (target == frame) {
-            target->ts = (int64_t)due;
-            continue;
-        }
-        store_past(target, load_word((const uint8_t *)frame));
-        store_past(target->data, load_word(frame->data));
-        store_past(&target->ts, due);
+    if (out == frames + first) {
+        /* They lie there already; mostly all have their times, too. */
+        if (self->shift)
+            for (size_t i = first > self->settled ? first : self->settled; i < end; i++)
+                frames[i].ts = (int64_t)((uint64_t)frames[i].ts + (uint64_t)self->shift);
+        return CANSER_OK;
+    }
+    for (size_t i = first; i < end; i++, out++) {
+        const uint64_t ts = (uint64_t)frames[i].ts;
+
+        store_past(out, load_word((const uint8_t *)&frames[i]));
+        store_past(out->data, load_word(frames[i].data));
+        store_past(&out->ts, i < self->settled ? ts : ts + (uint64_t)self->shift);
     }
     settle_stores();
     return CANSER_OK;

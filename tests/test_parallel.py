@@ -462,7 +462,7 @@ def test_no_helper_takes_what_the_stream_has_passed(monkeypatch: pytest.MonkeyPa
     target, cap, at = _binding.output_room(out, 0, None)
     stream.aim_at(target, cap, at)
     ahead = Ahead(stream, data, len(raw), lambda: chunk, 2)
-    chunk = Chunk(protocol, length, offsets=False)
+    chunk = Chunk(protocol, 1, length, offsets=False)
     joined = 0
     claim = None
     for stretch in ahead:
