@@ -13,13 +13,18 @@ int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, con
                         size_t data_len, size_t first, size_t stop, uint64_t offset,
                         canser_batch *batch)
 {
-    canser_decoder *const tale = self ? &self->tale : NULL;
+    if (batch)
+        batch->frame_count = batch->control_count = 0;
+    if (!self || !protocol || !batch || (!data && data_len) || !batch->frame_cap ||
+        (batch->controls && !batch->control_cap))
+        return CANSER_NULL;
+    first = first < data_len ? first : data_len;
+
+    canser_decoder *const tale = &self->tale;
     int status = canser_decoder_init(tale, protocol, 1);
     size_t pos = first < CANSER_RUN_UP ? 0 : first - CANSER_RUN_UP;
     size_t used;
 
-    if (!batch || !batch->frame_cap || (batch->controls && !batch->control_cap))
-        return CANSER_NULL;
     /* An array that is full on the way is emptied: only where it ends counts. */
     while (!status && pos < first && pos < data_len) {
         status =
@@ -35,7 +40,7 @@ int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, con
     tale->stats.bytes_in = offset + pos;
     self->begin = offset + pos;
     /* The first position alone, to see whether a packet starts there. */
-    status = canser_decoder_advance(tale, data + pos, data_len - pos, 1, batch, &used);
+    status = canser_decoder_advance(tale, data + pos, data_len - pos, pos < stop, batch, &used);
     self->skips_first = tale->stats.bytes_skipped != 0;
     if (!status && used && stop > pos + used) {
         canser_batch rest = *batch;
