@@ -314,7 +314,7 @@ def test_a_clock_that_leaps_at_every_border(seed: int) -> None:
         with worst_case(worst) as joins:
             assert fill("serial", "ns", stream, len(raws) + 1, 3) == want
         joined += joins["joined"]
-    assert joined > 10
+    assert joined > 3
 
 
 @every_protocol
@@ -335,7 +335,7 @@ def test_the_run_up_of_real_guesses(protocol: str, seed: int) -> None:
             with worst_case(worst) as joins:
                 assert fill(protocol, "us", stream, len(stream) // 2, threads) == want
             joined += joins["joined"]
-    assert joined > 10
+    assert joined > 3
 
 
 def test_scans_that_never_meet_cost_few_wrong_guesses() -> None:
