@@ -409,6 +409,326 @@ static void test_ends(void)
     }
 }
 
+/* A stretch of a stream and what is known of it: [first..stop) is to be decoded, and
+ * the caller sees [begin..end). All are stream offsets. */
+typedef struct {
+    size_t begin, first, stop, end;
+} stretch;
+
+/* How many chunks were joined, and were not: else nothing would be tested. */
+static size_t joined_count, apart_count;
+
+/* Decode the stretch into the arrays of the arenas. Returns whether a call with these
+ * arguments was good and all around it is as it was. */
+static bool decode_chunk(canser_chunk *chunk, canser_batch *batch, const uint8_t *stream,
+                         const stretch *at)
+{
+    const size_t seen = at->end - at->begin;
+    const size_t frame_cap = now.frame_cap, control_cap = now.control_cap;
+    uint8_t *const input = place(DRIVE_INPUT, seen);
+    canser_frame *const frames = place(DRIVE_FRAMES, frame_cap * sizeof *frames);
+    int64_t *const offsets = place(DRIVE_OFFSETS, frame_cap * sizeof *offsets);
+    canser_control *const controls = place(DRIVE_CONTROLS, control_cap * sizeof *controls);
+
+    memset(chunk, 0xA5, sizeof *chunk);
+    if (seen)
+        memcpy(input, stream + at->begin, seen);
+    *batch = (canser_batch){.frames = frames,
+                            .frame_cap = frame_cap,
+                            .offsets = driven.no_offsets ? NULL : offsets,
+                            .controls = driven.no_controls ? NULL : controls,
+                            .control_cap = control_cap,
+                            .frame_count = SIZE_MAX,
+                            .control_count = SIZE_MAX};
+    const int status = canser_chunk_decode(chunk, canser_protocol_at((size_t)now.protocol),
+                                           ended_stream.tick_ns, input, seen, at->first - at->begin,
+                                           at->stop - at->begin, at->begin, batch);
+    check(status == CANSER_OK, "the status of a chunk is not OK");
+    check(batch->frame_count <= frame_cap, "frame_count is over frame_cap");
+    check(batch->control_count <= (batch->controls ? control_cap : 0),
+          "control_count is over control_cap");
+    check(!seen || memcmp(input, stream + at->begin, seen) == 0, "the input was written to");
+    drop(DRIVE_INPUT, input, seen);
+    drop(DRIVE_FRAMES, frames, frame_cap * sizeof *frames);
+    drop(DRIVE_OFFSETS, offsets, frame_cap * sizeof *offsets);
+    drop(DRIVE_CONTROLS, controls, control_cap * sizeof *controls);
+    check(chunk->frame_count == batch->frame_count, "the chunk has other frames than the batch");
+    check(chunk->begin <= chunk->end && chunk->end <= at->end, "a chunk ends where it may not");
+    /* What starts near the end of what is seen is not decided; else all up to the first is. */
+    check(chunk->begin >= at->first || chunk->begin + CANSER_BEHIND > at->end,
+          "a chunk begins before its stretch");
+    check(chunk->begin < at->stop || chunk->end == chunk->begin,
+          "a chunk begins behind its stretch");
+    const size_t frame_count = batch->frame_count, control_count = batch->control_count;
+    check(
+        (!batch->offsets || !frame_count || (uint64_t)batch->offsets[frame_count - 1] < at->stop) &&
+            (!control_count || batch->controls[control_count - 1].offset < at->stop) &&
+            (!chunk->tale.stats.bytes_skipped || chunk->tale.skip_end <= at->stop),
+        "a chunk takes what starts behind its stretch");
+    return status == CANSER_OK;
+}
+
+/* Join the chunk, if it begins where the stream stands, and append what it has found. */
+static void join_chunk(canser_chunk *chunk, canser_batch *batch, bool sees_all)
+{
+    const bool meets = driven.decoder.stats.bytes_in == chunk->begin;
+    const canser_decoder before = driven.decoder;
+    const canser_chunk chunk_before = *chunk;
+    const size_t count = batch->frame_count;
+    canser_frame *const rows_at = driven.frames + driven.frame_count;
+    const int status = canser_decoder_join(&driven.decoder, chunk, batch->frames);
+
+    /* A clock that leaps all the time may keep a long chunk from being joined. */
+    const bool settles = chunk->frame_count <= CANSER_SETTLE_MAX || status == CANSER_OK;
+    check(status == (meets && settles ? CANSER_OK : CANSER_APART), "the status of a join differs");
+    check(meets || !sees_all, "a guess that has seen all is wrong");
+    joined_count += status == CANSER_OK;
+    apart_count += status != CANSER_OK;
+    if (status != CANSER_OK) {
+        check(memcmp(&before, &driven.decoder, sizeof before) == 0 &&
+                  memcmp(&chunk_before, chunk, sizeof *chunk) == 0,
+              "a join that is refused changes something");
+        return;
+    }
+    /* In two parts, and each of them once where it lies already. */
+    const size_t half = random_below(count + 1);
+    const bool in_place = random_below(2);
+    check(canser_chunk_deliver(chunk, batch->frames, half, count - half,
+                               in_place ? batch->frames + half : rows_at + half) == CANSER_OK &&
+              canser_chunk_deliver(chunk, batch->frames, 0, half,
+                                   in_place ? batch->frames : rows_at) == CANSER_OK,
+          "the status of deliver is not OK");
+    if (in_place && count)
+        memcpy(rows_at, batch->frames, count * sizeof *rows_at);
+    if (batch->offsets && count)
+        memcpy(driven.offsets + driven.frame_count, batch->offsets, count * sizeof(int64_t));
+    if (batch->controls && batch->control_count)
+        memcpy(driven.controls + driven.control_count, batch->controls,
+               batch->control_count * sizeof(canser_control));
+    driven.frame_count += count;
+    driven.control_count += batch->control_count;
+}
+
+/* Go on with what starts before `stop`, as a caller does between two chunks. */
+static void advance_to(const uint8_t *stream, size_t len, size_t stop)
+{
+    size_t used;
+
+    do {
+        const size_t pos = (size_t)driven.decoder.stats.bytes_in;
+        uint8_t *const input = place(DRIVE_INPUT, len - pos);
+        canser_batch batch = {.frames = driven.frames + driven.frame_count,
+                              .frame_cap = 3,
+                              .offsets = driven.offsets + driven.frame_count,
+                              .controls = driven.controls + driven.control_count,
+                              .control_cap = 2};
+
+        if (len > pos)
+            memcpy(input, stream + pos, len - pos);
+        used = SIZE_MAX;
+        check(canser_decoder_advance(&driven.decoder, input, len - pos, stop > pos ? stop - pos : 0,
+                                     &batch, &used) == CANSER_OK,
+              "the status of advance is not OK");
+        check(used <= len - pos && driven.decoder.stats.bytes_in == pos + used,
+              "used is not what was taken");
+        check(stop > pos || used == 0, "advance takes what starts behind its stop");
+        check(driven.decoder.carry_len == 0, "advance holds bytes");
+        check(used || stop <= pos || len - pos < CANSER_BEHIND, "advance stops without need");
+        drop(DRIVE_INPUT, input, len - pos);
+        driven.frame_count += batch.frame_count;
+        driven.control_count += batch.control_count;
+    } while (used);
+}
+
+/* A stream with a chunk in it: up to the border byte by byte, then the chunk, and the
+ * rest; all as if there were none. */
+static void check_chunk(const uint8_t *stream, size_t len, const stretch *at)
+{
+    canser_chunk chunk;
+    canser_batch batch;
+
+    drive_begin(&driven, now.protocol, ended_stream.tick_ns);
+    advance_to(stream, len, at->first);
+    if (!decode_chunk(&chunk, &batch, stream, at))
+        return;
+    join_chunk(&chunk, &batch, at->begin == 0 && at->end == len);
+    const size_t pos = (size_t)driven.decoder.stats.bytes_in;
+    if (driven.no_controls)
+        driven.control_count = (size_t)driven.decoder.stats.controls;
+    drive_feed(&driven, stream + pos, len - pos, len + 1, len + 1);
+    drive_flush(&driven, len + 1, len + 1);
+    const char *const what = drive_compare(&driven, &ended_stream);
+    check(!what, what);
+}
+
+static void expect_stream(const uint8_t *stream, size_t len, int64_t tick_ns)
+{
+    now.len = len;
+    plain_begin(&ended_stream, now.protocol, tick_ns);
+    plain_scan(&ended_stream, stream, len, true);
+}
+
+/* Every border in short streams; guesses that see all, and that see hardly anything. */
+static void test_chunks(void)
+{
+    uint8_t stream[LEN_MAX];
+
+    now.part = "chunks";
+    for (now.protocol = 0; now.protocol < PLAIN_PROTOCOL_COUNT; now.protocol++) {
+        joined_count = apart_count = 0;
+        for (now.kind = 0; now.kind < KIND_COUNT; now.kind++) {
+            for (size_t len = 0; len <= LEN_MAX; len += 1 + len / 8) {
+                make_stream(now.protocol, now.kind, stream, len);
+                expect_stream(stream, len, 1000);
+                for (size_t first = 0; first <= len; first++) {
+                    const size_t stop = first + random_below(len - first + 1);
+                    const stretch all = {0, first, len, len};
+                    const stretch some = {random_below(first + 1), first, stop,
+                                          stop + random_below(len - stop + 1)};
+                    const stretch blind = {first, first, stop, len};
+
+                    now.at_end = first % 2;
+                    now.shift = random_below(SHIFT_MAX + 1);
+                    driven.no_offsets = random_below(8) == 0;
+                    now.frame_cap = now.control_cap = ROW_CAP;
+                    check_chunk(stream, len, &all);
+                    now.frame_cap = 1 + random_below(4);
+                    now.control_cap = 1 + random_below(4);
+                    check_chunk(stream, len, &all);
+                    check_chunk(stream, len, &some);
+                    check_chunk(stream, len, &blind);
+                    driven.no_offsets = false;
+                }
+            }
+        }
+        check(joined_count > 1000, "few chunks were joined");
+        check(apart_count > 100 || now.protocol == PLAIN_SERIAL, "no guess was wrong");
+    }
+}
+
+/* A stream of frames that are nothing but their times. */
+enum { TIMED_LEN = 11, TIMED_MAX = ROW_CAP - 2 };
+
+static size_t make_timed(uint8_t *stream, uint32_t raw, const int64_t *steps, size_t step_count)
+{
+    size_t pos = 0;
+
+    for (size_t i = 0; i <= step_count; i++) {
+        memset(stream + pos, 0, TIMED_LEN);
+        stream[pos] = 0xAA;
+        for (size_t k = 0; k < 4; k++)
+            stream[pos + 1 + k] = (uint8_t)(raw >> 8 * k);
+        stream[pos + TIMED_LEN - 1] = 0xBB;
+        pos += TIMED_LEN;
+        if (i < step_count)
+            raw += (uint32_t)(uint64_t)steps[i];
+    }
+    return pos;
+}
+
+static size_t small_steps(int64_t *steps, size_t count)
+{
+    for (size_t i = 0; i < count; i++)
+        steps[i] = (int64_t)i % 3;
+    return count;
+}
+
+/* A chunk that begins at frame `border` of a stream of times. */
+static void check_timed(const uint8_t *stream, size_t len, size_t border, size_t stop)
+{
+    const stretch at = {0, border * TIMED_LEN, stop * TIMED_LEN, len};
+
+    now.shift = border;
+    now.frame_cap = now.control_cap = ROW_CAP;
+    check_chunk(stream, len, &at);
+}
+
+/* One jump so many frames before the border, one so many behind it, and a way back near
+ * to where the clock stood so many frames later. */
+static void test_chunk_clocks(void)
+{
+    static const int64_t half = INT64_C(1) << 31, small = INT64_C(1) << 24;
+    const int64_t jumps[] = {half, half / 2, small + 1, small, -1, -small - 1, 3 * half / 2};
+    const int64_t nears[] = {0, 1, -1, small, small + 1, -small, -small - 1};
+    static uint8_t stream[TIMED_MAX * TIMED_LEN];
+    int64_t steps[TIMED_MAX];
+
+    now.part = "chunk clocks";
+    now.protocol = PLAIN_SERIAL;
+    now.at_end = true;
+    for (size_t before = 0; before <= 19; before++) {
+        for (size_t behind = 0; behind <= 19; behind++) {
+            for (size_t round = 0; round < 60; round++) {
+                const int64_t first = jumps[random_below(7)], second = jumps[random_below(7)];
+                const size_t later = random_below(6);
+                size_t n = small_steps(steps, random_below(2) ? 17 : random_below(5));
+
+                /* Some leave out the first jump, some the way back. */
+                if (round % 4)
+                    steps[n++] = first;
+                n += small_steps(steps + n, before);
+                const size_t border = n;
+                n += small_steps(steps + n, behind);
+                int64_t away = second;
+                steps[n++] = second;
+                for (size_t i = 0; i < later; i++) {
+                    const int64_t next = random_below(2) ? jumps[random_below(7)] : 1;
+                    steps[n++] = next;
+                    away += next;
+                }
+                steps[n++] = nears[random_below(7)] - away;
+                n += small_steps(steps + n, random_below(2) ? 15 + random_below(3) : 1);
+                if (n < TIMED_MAX - 1)
+                    steps[n++] = random_below(2) ? half : -2;
+                now.kind = (int)behind;
+                const size_t len = make_timed(stream, (uint32_t)random_word(), steps, n);
+                expect_stream(stream, len, round % 2 ? 1 : 1000000);
+                check_timed(stream, len, border, n + 1);
+                check_timed(stream, len, border + random_below(2), border + behind + 3);
+                check_timed(stream, len, 0, border + 1);
+            }
+        }
+    }
+}
+
+/* Jumps anywhere, and chunk behind chunk. */
+static void test_chunk_chains(void)
+{
+    static uint8_t stream[TIMED_MAX * TIMED_LEN];
+    int64_t steps[TIMED_MAX];
+    canser_chunk chunk;
+    canser_batch batch;
+
+    now.part = "chunk chains";
+    for (size_t round = 0; round < 4000; round++) {
+        size_t n = 0;
+
+        while (n < TIMED_MAX - 20) {
+            n += small_steps(steps + n, random_below(19));
+            steps[n++] = (int64_t)(random_below(2) ? random_word() : random_below(8) << 29);
+        }
+        const size_t len = make_timed(stream, (uint32_t)random_word(), steps, n);
+        expect_stream(stream, len, 1000);
+        drive_begin(&driven, now.protocol, 1000);
+        now.kind = (int)round;
+        now.shift = 0;
+        now.frame_cap = 1 + random_below(30);
+        now.control_cap = 1;
+        size_t pos = 0;
+        do {
+            const stretch at = {0, pos, len, len};
+
+            if (!decode_chunk(&chunk, &batch, stream, &at))
+                break;
+            join_chunk(&chunk, &batch, true);
+            pos = (size_t)driven.decoder.stats.bytes_in;
+        } while (batch.frame_count);
+        drive_feed(&driven, stream + pos, len - pos, ROW_CAP, 1);
+        const char *const what = drive_compare(&driven, &ended_stream);
+        check(!what, what);
+    }
+}
+
 /* Encode into `cap` bytes, and say what must come of it: frames up to the first
  * that does not fit or is refused. */
 static void check_encode(const canser_frame *frames, size_t count, int64_t tick_ns, size_t cap)
@@ -582,6 +902,11 @@ static void check_refused(bench *b, int expected, const uint8_t *data, size_t le
           "feed returns another status");
     check(b->used == 0, "*used is not set");
     check(b->batch.frame_count == 0 && b->batch.control_count == 0, "the counts are not set");
+    b->batch.frame_count = b->batch.control_count = b->used = SIZE_MAX;
+    check(canser_decoder_advance(&b->decoder, data, len, len, &b->batch, &b->used) == expected,
+          "advance returns another status");
+    check(b->used == 0 && b->batch.frame_count == 0 && b->batch.control_count == 0,
+          "the results are not set by advance");
     check(memcmp(&b->decoder, &b->before, sizeof b->decoder) == 0, "the decoder has changed");
     check(memcmp(&b->memory, &before.memory, sizeof b->memory) == 0 &&
               memcmp(b->offsets, before.offsets, sizeof b->offsets) == 0 &&
@@ -832,6 +1157,171 @@ static void test_tables(void)
           "there is a refusal past the last");
 }
 
+/* A call of canser_chunk_decode() that must be refused. */
+static void check_chunk_refused(bench *b, int expected, canser_chunk *chunk,
+                                const canser_protocol *protocol, const uint8_t *data,
+                                size_t data_len, size_t first, const char *what)
+{
+    const bench before = *b;
+
+    now.part = what;
+    b->batch.frame_count = b->batch.control_count = SIZE_MAX;
+    check(canser_chunk_decode(chunk, protocol, 1, data, data_len, first, first + 9, 7, &b->batch) ==
+              expected,
+          "a chunk returns another status");
+    check(b->batch.frame_count == 0 && b->batch.control_count == 0,
+          "the counts are not set by a chunk");
+    check(memcmp(&b->memory, &before.memory, sizeof b->memory) == 0 &&
+              memcmp(b->offsets, before.offsets, sizeof b->offsets) == 0 &&
+              memcmp(b->controls, before.controls, sizeof b->controls) == 0,
+          "an array has changed");
+    set_bench(b);
+}
+
+static void test_chunk_arguments(bench *b)
+{
+    const canser_protocol *const protocol = canser_protocol_at((size_t)now.protocol);
+    const size_t far = 1 << 14; /* further than a guess looks back */
+    canser_chunk chunk;
+
+    check_chunk_refused(b, CANSER_NULL, NULL, protocol, b->data, 64, 0, "chunk: self NULL");
+    check_chunk_refused(b, CANSER_NULL, &chunk, NULL, b->data, 64, 0, "chunk: protocol NULL");
+    check_chunk_refused(b, CANSER_NULL, &chunk, protocol, NULL, 1, 0, "chunk: data NULL");
+    check_chunk_refused(b, CANSER_NULL, &chunk, protocol, NULL, 2 * far, far,
+                        "chunk: data NULL, far on");
+    b->batch.frame_cap = 0;
+    check_chunk_refused(b, CANSER_NULL, &chunk, protocol, b->data, 64, 0, "chunk: frame_cap 0");
+    b->batch.control_cap = 0;
+    check_chunk_refused(b, CANSER_NULL, &chunk, protocol, b->data, 64, 0, "chunk: control_cap 0");
+    b->batch.frames = NULL;
+    check_chunk_refused(b, CANSER_NULL, &chunk, protocol, b->data, 64, 9, "chunk: frames NULL");
+    b->batch.frames = behind(b->memory.frames, 1);
+    b->batch.frame_cap = 2;
+    check_chunk_refused(b, CANSER_MISALIGNED, &chunk, protocol, b->data, 64, 9,
+                        "chunk: frames misaligned");
+    b->batch.offsets = behind(b->memory.frames, sizeof b->memory - 8);
+    check_chunk_refused(b, CANSER_OVERLAP, &chunk, protocol, b->data, 64, 0,
+                        "chunk: offsets on frames");
+    check_chunk_refused(b, CANSER_OVERLAP, &chunk, protocol, behind(b->offsets, 0), 8, 0,
+                        "chunk: data on offsets");
+    now.part = "chunk: tick";
+    check(canser_chunk_decode(&chunk, protocol, 0, b->data, 64, 0, 64, 0, &b->batch) == CANSER_TICK,
+          "another status");
+    set_bench(b);
+    now.part = "chunk: batch NULL";
+    check(canser_chunk_decode(&chunk, protocol, 1, b->data, 64, 0, 64, 0, NULL) == CANSER_NULL,
+          "another status");
+
+    /* Nothing is there, or nothing is asked for: a chunk of nothing. */
+    const size_t nothing[][3] = {{0, 0, 0},          {0, 9, 99},  {23, 0, 9}, {64, 64, 99},
+                                 {64, far, far + 1}, {64, 30, 0}, {64, 0, 0}};
+    for (size_t i = 0; i < sizeof nothing / sizeof *nothing; i++) {
+        const size_t len = nothing[i][0];
+
+        now.part = "chunk of nothing";
+        now.len = i;
+        b->batch.controls = NULL;
+        check(canser_chunk_decode(&chunk, protocol, 1000, len ? b->data : NULL, len, nothing[i][1],
+                                  nothing[i][2], 7, &b->batch) == CANSER_OK,
+              "another status");
+        check(b->batch.frame_count == 0 && b->batch.control_count == 0 && chunk.frame_count == 0 &&
+                  chunk.begin == chunk.end && chunk.begin >= 7 && chunk.end <= 7 + len,
+              "there is something in it");
+        canser_decoder_init(&b->decoder, protocol, 1000);
+        b->decoder.stats.bytes_in = chunk.begin;
+        memcpy(&b->before, &b->decoder, sizeof b->before);
+        check(canser_decoder_join(&b->decoder, &chunk, NULL) == CANSER_OK, "join: another status");
+        check(memcmp(&b->before, &b->decoder, sizeof b->before) == 0, "the decoder has changed");
+        set_bench(b);
+    }
+    now.len = 0;
+}
+
+static void test_join_arguments(bench *b)
+{
+    const size_t other = (size_t)(now.protocol + 1) % PLAIN_PROTOCOL_COUNT;
+    canser_decoder decoder;
+    canser_chunk chunk, before;
+    canser_frame copies[4];
+
+    now.part = "join";
+    make_stream(now.protocol, KIND_CLEAN, b->data, sizeof b->data);
+    check(canser_chunk_decode(&chunk, b->decoder.protocol, b->decoder.clock.tick_ns, b->data, 64, 0,
+                              64, 0, &b->batch) == CANSER_OK,
+          "a chunk returns another status");
+    check(chunk.frame_count > 0, "there is no frame");
+    canser_frame *const frames = b->memory.frames;
+    const size_t count = chunk.frame_count;
+    memcpy(&before, &chunk, sizeof before);
+    canser_decoder_init(&decoder, b->decoder.protocol, 1000);
+    check(canser_decoder_join(NULL, &chunk, frames) == CANSER_NULL, "self NULL");
+    check(canser_decoder_join(&decoder, NULL, frames) == CANSER_NULL, "chunk NULL");
+    check(canser_decoder_join(&decoder, &chunk, NULL) == CANSER_NULL, "frames NULL");
+    check(canser_decoder_join(&b->decoder, &chunk, frames) == CANSER_APART, "bytes are held");
+    chunk.begin = b->decoder.stats.bytes_in;
+    check(canser_decoder_join(&b->decoder, &chunk, frames) == CANSER_APART, "bytes are held");
+    chunk.begin = 0;
+    check(memcmp(&b->before, &b->decoder, sizeof b->before) == 0, "the decoder has changed");
+    decoder.stats.bytes_in = 1;
+    check(canser_decoder_join(&decoder, &chunk, frames) == CANSER_APART, "another place");
+    canser_decoder_init(&decoder, canser_protocol_at(other), 1000);
+    check(canser_decoder_join(&decoder, &chunk, frames) == CANSER_APART, "another protocol");
+    canser_decoder_init(&decoder, b->decoder.protocol, 999);
+    check(canser_decoder_join(&decoder, &chunk, frames) == CANSER_APART, "another unit");
+    check(memcmp(&before, &chunk, sizeof before) == 0, "the chunk has changed");
+    /* A join that was refused is no harm. */
+    canser_decoder_init(&decoder, b->decoder.protocol, 1000);
+    check(canser_decoder_join(&decoder, &chunk, frames) == CANSER_OK, "another status");
+    check(canser_decoder_join(&decoder, &chunk, frames) == CANSER_APART, "joined twice");
+
+    now.part = "deliver";
+    memset(copies, 0x5A, sizeof copies);
+    check(canser_chunk_deliver(NULL, frames, 0, count, copies) == CANSER_NULL, "self NULL");
+    check(canser_chunk_deliver(&chunk, NULL, 0, count, copies) == CANSER_NULL, "frames NULL");
+    check(canser_chunk_deliver(&chunk, frames, 0, count, NULL) == CANSER_NULL, "out NULL");
+    check(canser_chunk_deliver(&chunk, NULL, 0, 0, NULL) == CANSER_OK, "no frames");
+    check(canser_chunk_deliver(&chunk, frames, 1, 0, copies) == CANSER_OK, "no frames");
+    check(is_filled((uint8_t *)copies, behind(copies, sizeof copies), 0x5A), "out was written");
+    check(canser_chunk_deliver(&chunk, frames, count - 1, 1, copies + 1) == CANSER_OK, "status");
+    check(memcmp(copies[1].data, frames[count - 1].data, 8) == 0, "another frame");
+    check(is_filled((uint8_t *)copies, behind(copies, sizeof *copies), 0x5A) &&
+              is_filled(behind(copies, 2 * sizeof *copies), behind(copies, sizeof copies), 0x5A),
+          "more than one frame was written");
+    set_bench(b);
+}
+
+/* Bytes that are held are taken first, and go on being held if they must. */
+static void test_advance(bench *b)
+{
+    canser_decoder fed;
+    canser_frame frames[64];
+    canser_batch batch = {.frames = frames, .frame_cap = 64};
+
+    now.part = "advance";
+    for (size_t stop = 0; stop <= sizeof b->data; stop++) {
+        now.len = stop;
+        fed = b->decoder;
+        check(canser_decoder_advance(&b->decoder, b->data + 1, 63, stop, &batch, &b->used) ==
+                  CANSER_OK,
+              "another status");
+        check(b->decoder.carry_len == 0, "bytes are held");
+        check(b->used >= stop || b->used + CANSER_BEHIND > 63, "it stops without need");
+        check(b->used < stop + CANSER_PACKET_MAX, "it takes what starts behind");
+        const size_t count = batch.frame_count, used = b->used;
+        check(canser_decoder_feed(&fed, b->data + 1, used, &batch, &b->used) == CANSER_OK, "feed");
+        check(batch.frame_count == count && fed.carry_len == 0 &&
+                  memcmp(&fed.stats, &b->decoder.stats, sizeof fed.stats) == 0,
+              "it differs from feed");
+        set_bench(b);
+    }
+    now.len = 0;
+    check(canser_decoder_advance(&b->decoder, NULL, 0, 9, &b->batch, &b->used) == CANSER_OK &&
+              b->used == 0,
+          "no bytes");
+    check(memcmp(&b->decoder, &b->before, sizeof b->decoder) == 0, "the decoder has changed");
+    set_bench(b);
+}
+
 static void test_arguments(void)
 {
     static bench b;
@@ -844,6 +1334,9 @@ static void test_arguments(void)
         test_batch_arguments(&b);
         test_input_arguments(&b);
         test_good_arguments(&b);
+        test_advance(&b);
+        test_chunk_arguments(&b);
+        test_join_arguments(&b);
         test_encode_arguments();
     }
     test_full_controls();
@@ -949,6 +1442,9 @@ int main(int argc, char **argv)
     } else {
         test_decode();
         test_ends();
+        test_chunks();
+        test_chunk_clocks();
+        test_chunk_chains();
         test_encode();
         test_refusals();
         test_arguments();
