@@ -202,7 +202,7 @@ class _Fresh:
         self._count = 0
 
     def chunk(self) -> Chunk:
-        return self._make_chunk(offsets=False)
+        return self._make_chunk(False)
 
     def room(self) -> tuple[Pointer, int, Pointer]:
         if self._out is None:
@@ -249,7 +249,7 @@ class _Reused:
         self._rest_offsets = np.empty(0, np.int64)
 
     def chunk(self) -> Chunk:
-        return self._make_chunk(offsets=self._offsets is not None)
+        return self._make_chunk(self._offsets is not None)
 
     def room(self) -> tuple[Pointer, int, Pointer]:
         return output_room(self._out, self.begun, self._offsets)

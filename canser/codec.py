@@ -3,9 +3,9 @@
 import operator
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final, Protocol, overload
+from typing import Final, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -14,14 +14,12 @@ from canser import _binding
 from canser._binding import BytesLike, Chunk, Control, Offsets, Pointer
 from canser.frames import FRAME_DTYPE, FrameArray
 from canser.parallel import STRETCH, Ahead
+from canser.sinks import FixedArray, GrowingArray, Sink
 
 __all__ = ["TS_UNITS", "Control", "Decoder", "Stats", "decode", "encode", "protocols"]
 
 # Nanoseconds in one tick of a device's clock.
 TS_UNITS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
-
-# Room for this many frames is made without asking how many there will be: 1 MiB.
-_SMALL = (1 << 20) // FRAME_DTYPE.itemsize
 
 # A decoder keeps this many control packets that nobody has taken: 2 MiB, an
 # hour and more of pings ten times a second.
@@ -225,14 +223,14 @@ class Decoder:
             self._controls_dropped += dropped
         return True
 
-    def make_chunk(self, *, offsets: bool) -> Chunk:
+    def make_chunk(self, offsets: bool) -> Chunk:
         """Return room for any stretch that a helper decodes; for this package's own use."""
         most = STRETCH // self._protocol.frame_min + 1
         return Chunk(self._protocol, tick_ns(self._ts_unit), most, offsets=offsets)
 
     def _collect(self, source: Pointer, *, ends: bool, threads: int = 1) -> FrameArray:
         """Decode all of `source` into a new array, of just the size; the lock is held."""
-        sink = _Growing(self, self._stream, len(source))
+        sink = GrowingArray(self.make_chunk, self._stream, len(source))
         self._run(source, sink, ends=ends, threads=threads)
         return sink.result()
 
@@ -245,12 +243,12 @@ class Decoder:
         """
         _binding.output_frames(out)
         _binding.output_offsets(offsets, len(out))
-        sink = _Fixed(self, out, offsets)
+        sink = FixedArray(self.make_chunk, out, offsets)
         with self._lock:
             self._run(source, sink, ends=True, threads=threads)
         return min(sink.count, len(out)), sink.count
 
-    def _run(self, source: Pointer, sink: "Sink", *, ends: bool, threads: int = 1) -> None:
+    def _run(self, source: Pointer, sink: Sink, *, ends: bool, threads: int = 1) -> None:
         """Decode all of `source` into a sink; the lock is held."""
         start = self._stream.position
         if threads > 1:
@@ -269,7 +267,7 @@ class Decoder:
             self._keep_controls()
             sink.wrote(count)
 
-    def run_ahead(self, source: Pointer, sink: "Sink", threads: int) -> Iterator[None]:
+    def run_ahead(self, source: Pointer, sink: Sink, threads: int) -> Iterator[None]:
         """Decode all of `source` but its last bytes by several threads, into a sink.
 
         For this package's own use, and for a stream that holds nothing and that nobody else
@@ -290,130 +288,6 @@ class Decoder:
                     self._keep_controls()
                     sink.wrote(count)
                     yield
-
-
-class Sink(Protocol):
-    """Where frames go, in their order."""
-
-    def chunk(self) -> Chunk:
-        """Return room for a chunk that a helper decodes."""
-
-    def room(self) -> tuple[Pointer, int, Pointer]:
-        """Return where the next frames may be written, how many, and their offsets."""
-
-    def wrote(self, count: int) -> None:
-        """Take notice of frames that were written there."""
-
-    def place(self, chunk: Chunk) -> Callable[[], None]:
-        """Make room for a chunk's frames; return what brings them there."""
-
-
-class _Array:
-    """An array that frames are written into, by one thread or several."""
-
-    def __init__(self, decoder: Decoder, out: FrameArray, offsets: Offsets | None) -> None:
-        self.count = 0
-        self._make_chunk = decoder.make_chunk
-        self._out, self._offsets = out, offsets
-
-    def chunk(self) -> Chunk:
-        return self._make_chunk(offsets=self._offsets is not None)
-
-    def room(self) -> tuple[Pointer, int, Pointer]:
-        return _binding.output_room(self._out, self.count, self._offsets)
-
-    def wrote(self, count: int) -> None:
-        self.count += count
-
-
-class _Fixed(_Array):
-    """The caller's array. What is too much for it is counted only."""
-
-    _spare: FrameArray | None = None
-
-    def room(self) -> tuple[Pointer, int, Pointer]:
-        if self.count < len(self._out):
-            return super().room()
-        if self._spare is None:
-            self._spare = np.empty(_SMALL, FRAME_DTYPE)
-        return _binding.output_room(self._spare, 0, None)
-
-    def place(self, chunk: Chunk) -> Callable[[], None]:
-        begin = self.count
-        fits = max(min(chunk.count, len(self._out) - begin), 0)
-        self.count += chunk.count
-
-        def deliver() -> None:
-            if fits:
-                target, _, _ = _binding.output_room(self._out, begin, None)
-                chunk.deliver(target, fits)
-            if self._offsets is not None and chunk.offsets is not None:
-                self._offsets[begin : begin + fits] = chunk.offsets[:fits]
-
-        return deliver
-
-
-class _Growing(_Array):
-    """A new array that grows by what the bytes so far have held."""
-
-    def __init__(self, decoder: Decoder, stream: _binding.Stream, source_len: int) -> None:
-        self._stream = stream
-        self._start = stream.position
-        self._end = self._start + source_len
-        self._held = stream.pending
-        self._frame_min = stream.protocol.frame_min
-        self._copying = 0
-        self._copied = threading.Condition()
-        super().__init__(decoder, np.empty(min(self._most(), _SMALL), FRAME_DTYPE), None)
-
-    def room(self) -> tuple[Pointer, int, Pointer]:
-        if self.count == len(self._out):
-            self._grow(1)
-        return super().room()
-
-    def place(self, chunk: Chunk) -> Callable[[], None]:
-        if len(self._out) - self.count < chunk.count:
-            self._grow(chunk.count)
-        target, _, _ = super().room()
-        self.count += chunk.count
-        with self._copied:
-            self._copying += 1
-
-        def deliver() -> None:
-            try:
-                chunk.deliver(target, chunk.count)
-            finally:
-                with self._copied:
-                    self._copying -= 1
-                    self._copied.notify_all()
-
-        return deliver
-
-    def result(self) -> FrameArray:
-        """Return the array, of just the size; it owns its memory."""
-        if len(self._out) <= _SMALL:
-            return self._out[: self.count].copy()
-        self._out.resize(self.count, refcheck=False)
-        return self._out
-
-    def _most(self) -> int:
-        """Return room that is enough for the bytes to come, whatever they are."""
-        to_come = self._end - self._stream.position + self._held
-        return to_come // self._frame_min + 1
-
-    def _grow(self, more: int) -> None:
-        # The frames so far tell how many there will be; where the rest is denser than
-        # they were, this happens again.
-        done = max(self._stream.position - self._start, 1)
-        count = self.count + more
-        expected = int(count * ((self._end - self._start) / done) * 1.02) + _SMALL
-        cap = min(max(expected, 2 * self.count), count + self._most())
-        larger = np.empty(cap, FRAME_DTYPE)
-        with self._copied:
-            while self._copying:
-                self._copied.wait()
-        larger[: self.count] = self._out[: self.count]
-        self._out = larger
 
 
 def decode(

@@ -21,7 +21,7 @@ FLOORS = [
         "canser.formats.npy",
         "canser.tally",
     ],
-    ["canser.parallel"],
+    ["canser.parallel", "canser.sinks"],
     ["canser.codec", "canser.formats.candump", "canser.formats.csv", "canser.traffic"],
     ["canser.captures", "canser.formats", "canser.identify"],
     ["canser.files", "canser.report"],

@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 
 import canser
 import reference
-from canser import _binding, captures, codec, parallel
+from canser import _binding, captures, codec, parallel, sinks
 from canser._binding import Chunk, Stream
 from canser.frames import FRAME_DTYPE, FrameArray
 from canser.parallel import Ahead
@@ -212,7 +212,7 @@ def worst_case(worst: Worst) -> Iterator[Counter[str]]:
         patch.setattr(parallel, "_STRETCH_LEAST", min(worst.least, worst.stretch))
         patch.setattr(parallel, "_LEAD", worst.lead)
         patch.setattr(parallel, "_REST_MOST", worst.rest)
-        patch.setattr(codec, "_SMALL", worst.small)
+        patch.setattr(sinks, "SMALL", worst.small)
         patch.setattr(Stream, "join", join)
         patch.setattr(Stream, "advance", napping(Stream.advance))
         patch.setattr(Chunk, "decode", short_sighted)
@@ -704,7 +704,7 @@ def test_what_a_helper_raises_is_raised_to_the_caller(
 ) -> None:
     path = tmp_path / "run.bin"
     path.write_bytes(stream := capture("serial"))
-    monkeypatch.setattr(codec, "_SMALL", 1)
+    monkeypatch.setattr(sinks, "SMALL", 1)
 
     def run_blocks(out: FrameArray | None = None) -> None:
         with canser.blocks(path, "serial", out=out, threads=3) as blocks:
@@ -739,9 +739,9 @@ def test_a_helper_that_fails_still_delivers_what_others_wait_for(
     for module in (parallel, codec):
         monkeypatch.setattr(module, "STRETCH", length)
     monkeypatch.setattr(parallel, "_STRETCH_LEAST", length)
-    monkeypatch.setattr(codec, "_SMALL", 1)
+    monkeypatch.setattr(sinks, "SMALL", 1)
     passed = [threading.Event() for _ in range(5)]
-    real_room, real_decode = codec._Growing.room, Chunk.decode
+    real_room, real_decode = sinks.GrowingArray.room, Chunk.decode
     decoded: list[int] = []
 
     def room(sink: Any) -> tuple[Any, int, Any]:
@@ -756,7 +756,7 @@ def test_a_helper_that_fails_still_delivers_what_others_wait_for(
         real_decode(chunk, data, size, first, stop, offset)
         assert passed[1].wait(30)
 
-    monkeypatch.setattr(codec._Growing, "room", room)
+    monkeypatch.setattr(sinks.GrowingArray, "room", room)
     monkeypatch.setattr(Chunk, "decode", decode)
     raised = finish(lambda: canser.decode(stream, "serial", threads=2))
     assert decoded == [2, 4]
