@@ -144,16 +144,6 @@ CANSER_INLINE void store_le32(uint8_t *p, uint32_t value)
 #endif
 }
 
-CANSER_INLINE void store_le64(uint8_t *p, uint64_t value)
-{
-#if CANSER_BIG_ENDIAN
-    store_le32(p, (uint32_t)value);
-    store_le32(p + 4, (uint32_t)(value >> 32));
-#else
-    memcpy(p, &value, sizeof value);
-#endif
-}
-
 /* Eight bytes as they lie in memory. */
 CANSER_INLINE uint64_t load_word(const uint8_t *p)
 {
