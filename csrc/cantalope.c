@@ -92,17 +92,31 @@ CANSER_INLINE surveyed survey(const uint8_t *p, const bool exact)
 
 #endif
 
-CANSER_INLINE unsigned emit(const canser_frame *frame, uint32_t raw, uint8_t *out, const bool plain)
+CANSER_INLINE uint8_t *emit_fields(uint32_t id, unsigned rtr, size_t dlc, const uint8_t *payload,
+                                   uint8_t *out)
 {
-    static const uint8_t zeros[DLC_MAX];
-    const unsigned rtr = !plain && frame->rtr;
-    const unsigned head = (unsigned)frame->id << 5 | rtr << 4 | frame->dlc;
+    const unsigned head = id << 5 | rtr << 4 | (unsigned)dlc;
 
-    (void)raw;
     out[0] = (uint8_t)(head >> 8);
     out[1] = (uint8_t)head;
-    memcpy(out + HEADER, rtr ? zeros : frame->data, DLC_MAX);
-    return HEADER + frame->dlc;
+    memcpy(out + HEADER, payload, DLC_MAX);
+    return out + HEADER + dlc;
+}
+
+CANSER_INLINE uint8_t *emit_plain(const plain_frame *plain, uint32_t raw, const uint8_t *payload,
+                                  uint8_t *out)
+{
+    (void)raw;
+    return emit_fields(plain->id, 0, plain->dlc, payload, out);
+}
+
+CANSER_INLINE uint8_t *emit(const canser_frame *frame, uint32_t raw, uint8_t *out)
+{
+    static const uint8_t zeros[DLC_MAX];
+    const unsigned rtr = frame->rtr != 0;
+
+    (void)raw;
+    return emit_fields(frame->id, rtr, frame->dlc, rtr ? zeros : frame->data, out);
 }
 
 #define HAS_CLOCK 0

@@ -20,9 +20,10 @@
  *   survey()    with vectors: where among 64 positions a packet starts, and why none
  *               does at the others. If it need not be `exact`, a constant in each
  *               call, positions that only probe() can tell may be open, too.
- *   emit()      one frame to the wire; returns its length, never over
- *               SCAN_WINDOW. `raw` is the device timestamp to send; `plain`, a
- *               constant in each call: frame_is_plain().
+ *   emit()      one frame to the wire; returns the place behind it, never over
+ *               SCAN_WINDOW bytes on, and may write so many. `raw` is the device
+ *               timestamp to send.
+ *   emit_plain()  the same for a frame that take_apart() let pass.
  */
 #include "clock.h"
 
@@ -405,15 +406,58 @@ static scan_stop scan(canser_decoder *self, const uint8_t *data, size_t pos, siz
     return scan_loop(self, data, pos, stop, len, base, batch, SCAN_END);
 }
 
-/* A time in ticks, rounded down; C rounds to zero. */
-CANSER_INLINE uint32_t count_ticks(int64_t ts, const int64_t tick_ns)
+/* A time in ticks, rounded down; C rounds to zero. The common units are constants: a
+ * division by one is a multiplication. */
+CANSER_INLINE uint32_t count_ticks(int64_t ts, int64_t tick_ns)
 {
-    return (uint32_t)(ts / tick_ns - (ts % tick_ns < 0));
+    const int64_t ticks = tick_ns == 1000000 ? ts / 1000000
+                          : tick_ns == 1000  ? ts / 1000
+                                             : ts / tick_ns;
+    return (uint32_t)(ticks - (ts < ticks * tick_ns));
 }
 
-CANSER_INLINE void encode_loop(const canser_frame *frames, size_t frame_count,
-                               const int64_t tick_ns, uint8_t *out, size_t out_cap,
-                               canser_encoded *result)
+/* Where a run of plain frames to send stopped. */
+typedef struct {
+    const canser_frame *frame;
+    uint8_t *out;
+} emit_stop;
+
+/* Plain frames from `frame` on, until one is no plain frame, or `until` is reached. */
+CANSER_INLINE emit_stop emit_loop(const canser_frame *frame, const canser_frame *const until,
+                                  const int64_t tick_ns, uint8_t *out)
+{
+    do {
+        plain_frame plain;
+        uint64_t ticks = 0;
+
+        CANSER_PREFETCH_READ((const void *)((uintptr_t)frame + PREFETCH_OUT * sizeof *frame));
+        if (!CANSER_LIKELY(take_apart(frame, HAS_EXT, &plain)))
+            break;
+        if (HAS_CLOCK) {
+            /* A time before zero is rare, and no time is one of them. */
+            if (!CANSER_LIKELY(frame->ts >= 0))
+                break;
+            ticks = (uint64_t)frame->ts / (uint64_t)tick_ns;
+        }
+        out = emit_plain(&plain, (uint32_t)ticks, frame->data, out);
+        frame++;
+    } while (CANSER_LIKELY(frame < until));
+    return (emit_stop){frame, out};
+}
+
+/* A function of its own, as take_plain() is. The common units are constants here, too. */
+CANSER_NOINLINE emit_stop put_plain(const canser_frame *frame, const canser_frame *until,
+                                    int64_t tick_ns, uint8_t *out)
+{
+    if (HAS_CLOCK && tick_ns == 1000000)
+        return emit_loop(frame, until, 1000000, out);
+    if (HAS_CLOCK && tick_ns == 1000)
+        return emit_loop(frame, until, 1000, out);
+    return emit_loop(frame, until, tick_ns, out);
+}
+
+static void encode(const canser_frame *frames, size_t frame_count, int64_t tick_ns, uint8_t *out,
+                   size_t out_cap, canser_encoded *result)
 {
     const canser_frame *frame = frames;
     const canser_frame *const end = frames + frame_count;
@@ -428,36 +472,22 @@ CANSER_INLINE void encode_loop(const canser_frame *frames, size_t frame_count,
         const canser_frame *const until = frame + (left < room ? left : room);
 
         do {
-            CANSER_PREFETCH_READ((const void *)((uintptr_t)frame + PREFETCH_OUT * sizeof *frame));
-            /* A time before zero is rare, and no time is one of them. */
-            if (CANSER_LIKELY(frame_is_plain(frame, HAS_EXT)) &&
-                CANSER_LIKELY(!HAS_CLOCK || frame->ts >= 0)) {
-                const uint64_t ticks = HAS_CLOCK ? (uint64_t)frame->ts / (uint64_t)tick_ns : 0;
-                out += emit(frame, (uint32_t)ticks, out, true);
-            } else {
-                refusal = refuse_frame(frame, HAS_EXT, HAS_ERR);
-                if (HAS_CLOCK && frame->ts == CANSER_NO_TIME && !refusal)
-                    refusal = CANSER_REFUSAL_TIME;
-                if (refusal)
-                    break;
-                out += emit(frame, HAS_CLOCK ? count_ticks(frame->ts, tick_ns) : 0, out, false);
-            }
+            const emit_stop at = put_plain(frame, until, tick_ns, out);
+
+            frame = at.frame;
+            out = at.out;
+            if (frame == until)
+                break;
+            refusal = refuse_frame(frame, HAS_EXT, HAS_ERR);
+            if (HAS_CLOCK && frame->ts == CANSER_NO_TIME && !refusal)
+                refusal = CANSER_REFUSAL_TIME;
+            if (refusal)
+                break;
+            out = emit(frame, HAS_CLOCK ? count_ticks(frame->ts, tick_ns) : 0, out);
             frame++;
         } while (frame < until);
     }
     result->frame_count = (size_t)(frame - frames);
     result->byte_count = (size_t)(out - begin);
     result->refusal = refusal;
-}
-
-static void encode(const canser_frame *frames, size_t frame_count, int64_t tick_ns, uint8_t *out,
-                   size_t out_cap, canser_encoded *result)
-{
-    /* The common units as constants: a division by one is a multiplication. */
-    if (tick_ns == 1000000)
-        encode_loop(frames, frame_count, 1000000, out, out_cap, result);
-    else if (tick_ns == 1000)
-        encode_loop(frames, frame_count, 1000, out, out_cap, result);
-    else
-        encode_loop(frames, frame_count, tick_ns, out, out_cap, result);
 }

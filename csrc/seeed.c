@@ -259,19 +259,42 @@ CANSER_INLINE surveyed survey(const uint8_t *p, const bool exact)
 
 #endif
 
-CANSER_INLINE unsigned emit(const canser_frame *frame, uint32_t raw, uint8_t *out, const bool plain)
+/* `lead`: the start mark and the type, in one store: with one for each a frame takes a
+ * tenth longer. */
+CANSER_INLINE uint8_t *emit_fields(const uint8_t *lead, uint32_t id, size_t ext, size_t dlc,
+                                   const uint8_t *payload, uint8_t *out)
 {
-    static const uint8_t zeros[DLC_MAX];
-    const unsigned ext = plain ? frame->ext : frame->ext != 0, rtr = !plain && frame->rtr;
-    const unsigned header = 4 + 2 * ext;
-    const unsigned type = TYPE_MARK | ext << 5 | rtr << 4 | frame->dlc;
+    memcpy(out, lead, 2);
+    store_le32(out + 2, id); /* of a standard id two bytes are overwritten below */
+    out += 2 * ext;
+    memcpy(out + 4, payload, DLC_MAX); /* the end mark comes over the surplus */
+    out += dlc;
+    out[4] = END;
+    return out + 5;
+}
+
+CANSER_INLINE uint8_t *emit_plain(const plain_frame *plain, uint32_t raw, const uint8_t *payload,
+                                  uint8_t *out)
+{
+#define KIND_LEAD(ext, dlc) {START, TYPE_MARK | (ext) | (dlc)}
+#define KIND_LEADS(dlc)     KIND_LEAD(0, dlc), KIND_LEAD(TYPE_EXT, dlc)
+    static const uint8_t leads[PLAIN_KINDS][2] = {
+        KIND_LEADS(0), KIND_LEADS(1), KIND_LEADS(2), KIND_LEADS(3), KIND_LEADS(4),
+        KIND_LEADS(5), KIND_LEADS(6), KIND_LEADS(7), KIND_LEADS(8),
+    };
 
     (void)raw;
-    /* of a standard id two bytes are overwritten below */
-    store_le64(out, START | type << 8 | (uint64_t)frame->id << 16);
-    memcpy(out + header, rtr ? zeros : frame->data, DLC_MAX);
-    out[header + frame->dlc] = END;
-    return header + frame->dlc + 1;
+    return emit_fields(leads[plain->kind], plain->id, plain->ext, plain->dlc, payload, out);
+}
+
+CANSER_INLINE uint8_t *emit(const canser_frame *frame, uint32_t raw, uint8_t *out)
+{
+    static const uint8_t zeros[DLC_MAX];
+    const unsigned ext = frame->ext != 0, rtr = frame->rtr != 0;
+    const uint8_t lead[2] = {START, (uint8_t)(TYPE_MARK | ext << 5 | rtr << 4 | frame->dlc)};
+
+    (void)raw;
+    return emit_fields(lead, frame->id, ext, frame->dlc, rtr ? zeros : frame->data, out);
 }
 
 #define HAS_CLOCK 0

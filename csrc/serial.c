@@ -133,18 +133,33 @@ CANSER_INLINE surveyed survey(const uint8_t *p, const bool exact)
 
 #endif
 
-CANSER_INLINE unsigned emit(const canser_frame *frame, uint32_t raw, uint8_t *out, const bool plain)
+/* A store for each field: shifts to join them cost more. */
+CANSER_INLINE uint8_t *emit_fields(uint32_t raw, size_t dlc, uint32_t id, const uint8_t *payload,
+                                   size_t payload_len, uint8_t *out)
 {
-    const uint32_t ext = plain ? frame->ext : frame->ext != 0;
-    const uint32_t rtr = !plain && frame->rtr, err = !plain && frame->err;
-    const uint32_t flags = ext << BIT_EXT | rtr << BIT_RTR | err << BIT_ERR;
-    const unsigned payload_len = rtr ? 0 : frame->dlc;
+    out[0] = START;
+    store_le32(out + 1, raw);
+    out[5] = (uint8_t)dlc;
+    store_le32(out + 6, id);
+    memcpy(out + HEADER, payload, DLC_MAX); /* the end mark comes over the surplus */
+    out += payload_len;
+    out[HEADER] = END;
+    return out + HEADER + 1;
+}
 
-    store_le64(out, START | (uint64_t)raw << 8 | (uint64_t)frame->dlc << 40);
-    store_le32(out + 6, frame->id | flags);
-    memcpy(out + HEADER, frame->data, DLC_MAX); /* the end mark comes over the surplus */
-    out[HEADER + payload_len] = END;
-    return HEADER + payload_len + 1;
+CANSER_INLINE uint8_t *emit_plain(const plain_frame *plain, uint32_t raw, const uint8_t *payload,
+                                  uint8_t *out)
+{
+    return emit_fields(raw, plain->dlc, plain->id | plain->ext << BIT_EXT, payload, plain->dlc,
+                       out);
+}
+
+CANSER_INLINE uint8_t *emit(const canser_frame *frame, uint32_t raw, uint8_t *out)
+{
+    const uint32_t ext = frame->ext != 0, rtr = frame->rtr != 0, err = frame->err != 0;
+    const uint32_t flags = ext << BIT_EXT | rtr << BIT_RTR | err << BIT_ERR;
+
+    return emit_fields(raw, frame->dlc, frame->id | flags, frame->data, rtr ? 0 : frame->dlc, out);
 }
 
 #define HAS_CLOCK 1
