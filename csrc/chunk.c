@@ -23,7 +23,7 @@ static int extend(canser_decoder *tale, const uint8_t *data, size_t data_len, si
     canser_batch rest = *batch;
     size_t used = 0;
 
-    if (*pos >= stop || frames >= frame_cap)
+    if (*pos >= stop || *pos >= data_len || frames >= frame_cap)
         return CANSER_OK;
     rest.frames += frames;
     rest.frame_cap = frame_cap - frames;
