@@ -196,6 +196,8 @@ int canser_chunk_deliver(const canser_chunk *self, canser_frame *frames, size_t 
 {
     if (!self || ((!frames || !out) && frame_count))
         return CANSER_NULL;
+    if (!frame_count)
+        return CANSER_OK;
     const size_t end = first + frame_count;
 
     if (out == frames + first) {
