@@ -216,7 +216,8 @@ int canser_encode(const canser_protocol *protocol, int64_t tick_ns, const canser
     if (spans_meet(span_of(frames, frame_count, sizeof *frames), span_of(out, out_cap, 1)))
         return CANSER_OVERLAP;
 
-    protocol->codec->encode(frames, frame_count, tick_ns, out, out_cap, result);
+    if (frame_count && out_cap)
+        protocol->codec->encode(frames, frame_count, tick_ns, out, out_cap, result);
     /* Too near the end of `out` for wide stores: one by one through a window. */
     while (!result->refusal && result->frame_count < frame_count) {
         uint8_t window[SCAN_WINDOW];
