@@ -28,7 +28,7 @@ _STRETCH_LEAST = 1 << 16
 # yet there.
 _LEAD = 2
 
-# After a wrong guess the helpers rest for 1, 2, 4 ... so many stretches: input on which
+# After a wrong guess the helpers rest for 1, 4, 16 ... so many stretches: input on which
 # no guess is right takes hardly longer than by one thread.
 _REST_MOST = 64
 
@@ -73,7 +73,7 @@ class Ahead:
         self._joined: _Claim | None = None
         # The caller decodes what lies between these, and no helper takes it.
         self._from = self._stop = stream.position
-        self._rest = 0  # stretches to rest after the next wrong guess, halved
+        self._rest = 0  # stretches to rest after the last wrong guess
         self._resting_to = 0
         self._closed = False
         self._failure: BaseException | None = None
@@ -128,11 +128,11 @@ class Ahead:
             if claim is None or position < claim.first:
                 yield stop
             elif self._stream.join(claim.chunk):
-                self._rest = 0
+                self._rest //= 4
                 self._joined = claim
                 yield claim.chunk
             else:
-                self._rest = min(2 * self._rest or 1, _REST_MOST)
+                self._rest = min(4 * self._rest or 1, _REST_MOST)
                 self._resting_to = position + self._rest * STRETCH
                 self._decide(claim, None)
 
