@@ -27,7 +27,7 @@ static double now_ns(void)
     return (double)t.tv_sec * 1e9 + (double)t.tv_nsec;
 }
 
-/* The sums in the order in which the decoder has them. */
+/* The sums in the order in which the decoder has them, the load as early as there. */
 #define OPAQUE(x) __asm__("" : "+r"(x))
 
 static size_t chain_serial(const uint8_t *p, const uint8_t *end)
@@ -43,25 +43,28 @@ static size_t chain_serial(const uint8_t *p, const uint8_t *end)
 
 static size_t chain_seeed(const uint8_t *p, const uint8_t *end)
 {
-    size_t count = 0;
+    size_t count = 0, lead = p[1];
     for (; p < end; count++) {
-        const size_t type = p[1];
-        const uint8_t *next = p + 5;
-        OPAQUE(next);
-        next += type & 0xF;
-        OPAQUE(next);
-        p = next + (type >> 4 & 2);
+        const size_t more = lead >> 4; /* the mark 1100 and, of an extended id, 2 */
+        const uint8_t *ahead = (const uint8_t *)((uintptr_t)p - 6 + (lead & 0xF));
+        OPAQUE(ahead);
+        lead = ahead[more];
+        OPAQUE(ahead);
+        p = ahead + more - 1;
     }
     return count;
 }
 
 static size_t chain_cantalope(const uint8_t *p, const uint8_t *end)
 {
-    size_t count = 0;
+    size_t count = 0, lead = p[1];
     for (; p < end; count++) {
-        const uint8_t *next = p + 2;
-        OPAQUE(next);
-        p = next + (p[1] & 0xF);
+        const uint8_t *ahead = p + 3;
+        const size_t dlc = lead & 0x1F;
+        OPAQUE(ahead);
+        lead = ahead[dlc];
+        OPAQUE(ahead);
+        p = ahead + dlc - 1;
     }
     return count;
 }
