@@ -138,15 +138,15 @@ def noise(stream: Stream, rounds: int) -> Iterator[Row]:
     yield Row("1 byte in 1000 bad, over clean", protocol, ratio, 0.9)
     room = np.zeros(1 << 18, canser.FRAME_DTYPE)
     clean = tiled(raw, len(raw))
-    worst: tuple[float, str] = (np.inf, "")
+    ratios: dict[str, float] = {}
     for name, bad in hostile(protocol, len(raw)).items():
-        _, _, ratio = paired(
+        _, _, ratios[name] = paired(
             lambda: take(decoder, clean, room),
             lambda: take(decoder, bad, room),  # noqa: B023
             max(rounds // 3, 1),
         )
-        worst = min(worst, (ratio, name))
-    yield Row("the worst hostile input, over clean", protocol, worst[0], 0.5, worst[1])
+    note = ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items())
+    yield Row("the worst hostile input, over clean", protocol, min(ratios.values()), 0.5, note)
 
 
 def pieces(stream: Stream, rounds: int) -> Iterator[Row]:

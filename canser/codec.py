@@ -82,7 +82,8 @@ class Decoder:
         self._protocol = _binding.find_protocol(protocol)
         self._ts_unit = ts_unit
         self._stream = _binding.Stream(self._protocol, tick_ns(ts_unit))
-        self._lock = threading.Lock()
+        # Reentrant: `run_ahead` takes it step by step, also for those that hold it.
+        self._lock = threading.RLock()
         self._controls: deque[npt.NDArray[np.void]] = deque()
         self._controls_held = 0
         self._controls_dropped = 0
@@ -270,24 +271,38 @@ class Decoder:
     def run_ahead(self, source: Pointer, sink: Sink, threads: int) -> Iterator[None]:
         """Decode all of `source` but its last bytes by several threads, into a sink.
 
-        For this package's own use, and for a stream that holds nothing and that nobody else
-        feeds. Yields whenever the sink may be emptied.
+        For this package's own use, and for a stream that holds nothing. Yields whenever the
+        sink may be emptied; the lock is not held then. RuntimeError if somebody else has
+        fed or reset the decoder meanwhile: its stream would not be that of `source` any more.
         """
         stream, start, source_len = self._stream, self._stream.position, len(source)
+        stretch, expected = start, start
         with Ahead(stream, source, source_len, sink.chunk, threads) as ahead:
-            for stretch in ahead:
-                if isinstance(stretch, Chunk):
-                    self._keep_controls(stretch)
-                    ahead.deliver(sink.place(stretch))
-                    yield
-                    continue
-                while (position := stream.position) < stretch:
-                    done = position - start
-                    stream.aim_at(*sink.room())
-                    count = stream.advance(source + done, source_len - done, stretch - position)
-                    self._keep_controls()
-                    sink.wrote(count)
-                    yield
+            stretches = iter(ahead)
+            while True:
+                with self._lock:
+                    if stream.position != expected or stream.pending:
+                        raise RuntimeError(
+                            "the decoder was fed or reset while its blocks were being decoded; "
+                            "use a Decoder of its own"
+                        )
+                    if expected >= stretch:
+                        item = next(stretches, None)
+                        if item is None:
+                            return
+                        if isinstance(item, Chunk):
+                            self._keep_controls(item)
+                            ahead.deliver(sink.place(item))
+                        else:
+                            stretch = item
+                    if expected < stretch:
+                        done = expected - start
+                        stream.aim_at(*sink.room())
+                        count = stream.advance(source + done, source_len - done, stretch - expected)
+                        self._keep_controls()
+                        sink.wrote(count)
+                    expected = stream.position
+                yield
 
 
 def decode(

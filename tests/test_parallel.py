@@ -482,6 +482,24 @@ def test_no_helper_takes_what_the_stream_has_passed(monkeypatch: pytest.MonkeyPa
     assert joined > 2
 
 
+@pytest.mark.parametrize("meddle", ["feed", "reset", "half"])
+def test_a_decoder_that_others_feed_is_an_error(
+    meddle: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(captures, "BLOCK_FRAMES", 100)
+    path = tmp_path / "run.bin"
+    path.write_bytes(canser.encode(vehicle(30, extended=False), "seeed"))
+    with canser.blocks(path, "seeed", threads=2) as blocks:
+        next(blocks)
+        if meddle == "reset":
+            blocks.decoder.reset()
+        else:
+            blocks.decoder.feed(b"\xaa" if meddle == "half" else bytes(10_000_000))
+        with pytest.raises(RuntimeError, match="a Decoder of its own"):
+            list(blocks)
+    assert not helpers()
+
+
 @pytest.mark.usefixtures("short")
 def test_decode_in_several_threads_at_once() -> None:
     streams = {protocol: capture(protocol, 1) for protocol in PROTOCOLS}
