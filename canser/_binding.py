@@ -24,6 +24,7 @@ BytesLike: TypeAlias = "Buffer | npt.NDArray[Any]"
 
 Pointer = Any
 Offsets = npt.NDArray[np.int64] | npt.NDArray[np.uint64]
+Times = npt.NDArray[np.int64]
 
 # The record of Python is the struct of C, field by field.
 for _name, _field in ffi.typeof("canser_frame").fields:
@@ -50,6 +51,10 @@ class Protocol:
     frame_min: int  # bytes of the shortest frame
     frame_max: int  # bytes of the longest frame as encode writes it
     has_clock: bool  # frames carry a device timestamp
+    baudrate: int  # of the serial line, as adapters come
+    bitrates: tuple[int, ...]  # that an adapter can be configured to; empty: to none
+    ping: bytes  # empty: there is none
+    status_request: bytes  # empty: there is none
     row: Pointer
 
 
@@ -60,8 +65,41 @@ class Control(NamedTuple):
     data: bytes
 
 
+class Config(NamedTuple):
+    """How an adapter is to work: the struct of C, field by field."""
+
+    bitrate: int
+    filter_id: int
+    filter_mask: int
+    mode: int  # index of MODE_NAMES
+    ext_only: bool
+    once: bool
+    fixed: bool
+
+
+class Explained(NamedTuple):
+    """What a control packet says; what its kind does not have is zero."""
+
+    kind: str
+    receive_errors: int
+    transmit_errors: int
+    number: int
+    config: Config
+
+
 def _text(pointer: Pointer) -> str:
     return str(ffi.string(pointer).decode("ascii"))
+
+
+def _packet(packet: Pointer) -> bytes:
+    return bytes(packet.bytes)[: packet.len]
+
+
+def _read_bitrates(row: Pointer) -> Iterator[int]:
+    for index in count():
+        if not row.bitrates or not row.bitrates[index]:
+            return
+        yield row.bitrates[index]
 
 
 def _read_table() -> Iterator[Protocol]:
@@ -75,6 +113,10 @@ def _read_table() -> Iterator[Protocol]:
             frame_min=row.frame_min,
             frame_max=row.frame_max,
             has_clock=bool(row.has_clock),
+            baudrate=row.baudrate,
+            bitrates=tuple(_read_bitrates(row)),
+            ping=_packet(row.ping),
+            status_request=_packet(row.status_request),
             row=row,
         )
 
@@ -87,6 +129,9 @@ _SPELLINGS: Final = {
 }
 REJECT_NAMES: Final = tuple(
     _text(lib.canser_reject_name(reason)) for reason in range(lib.CANSER_REJECT_COUNT)
+)
+MODE_NAMES: Final = tuple(
+    _text(lib.canser_mode_name(mode)) for mode in range(lib.CANSER_MODE_COUNT)
 )
 
 
@@ -337,6 +382,11 @@ class Stream:
         return int(self._state.stats.bytes_in)
 
     @property
+    def skipped(self) -> int:
+        """Bytes inside no packet."""
+        return int(self._state.stats.bytes_skipped)
+
+    @property
     def pending(self) -> int:
         """Bytes held."""
         return int(self._state.carry_len)
@@ -449,3 +499,133 @@ def encode_into(
             f"{len(frames) * protocol.frame_max} bytes are always enough"
         )
     return int(result.byte_count)
+
+
+def configure(protocol: Protocol, config: Config) -> bytes:
+    """Return the packet that configures an adapter; the values are checked already."""
+    packet = ffi.new("canser_packet *")
+    status = lib.canser_configure(
+        protocol.row, ffi.new("canser_config *", config._asdict()), packet
+    )
+    if status:
+        _raise_status(status)
+    return _packet(packet)
+
+
+def explain(protocol: Protocol, data: BytesLike) -> Explained | None:
+    """Return what a control packet says; None for bytes that are not one."""
+    source, report = input_bytes(data), ffi.new("canser_report *")
+    status = lib.canser_explain(protocol.row, source, len(source), report)
+    if status == lib.CANSER_NO_CONTROL:
+        return None
+    if status:
+        _raise_status(status)
+    config = report.config
+    return Explained(
+        kind=_text(lib.canser_control_name(report.kind)),
+        receive_errors=report.receive_errors,
+        transmit_errors=report.transmit_errors,
+        number=report.number,
+        config=Config(
+            bitrate=config.bitrate,
+            filter_id=config.filter_id,
+            filter_mask=config.filter_mask,
+            mode=config.mode,
+            ext_only=bool(config.ext_only),
+            once=bool(config.once),
+            fixed=bool(config.fixed),
+        ),
+    )
+
+
+def find_arrivals(
+    pieces: Times, byte_ns: float, offsets: Offsets, arrivals: Times, *, end: int, reach: int
+) -> None:
+    """Set `arrivals` to when the frames at these offsets had come.
+
+    `pieces`: the offset behind each and its time, in turn. See canser_times_arrivals.
+    """
+    _check_array(offsets, "offsets", _OFFSET_DTYPES, "np.empty(n, np.int64)")
+    if len(offsets) != len(arrivals):
+        raise ValueError(f"there are {len(offsets)} offsets for {len(arrivals)} frames")
+    status = lib.canser_times_arrivals(
+        ffi.from_buffer("canser_piece[]", pieces),
+        len(pieces) // 2,
+        byte_ns,
+        ffi.from_buffer("int64_t[]", offsets),
+        len(offsets),
+        end,
+        reach,
+        ffi.from_buffer("int64_t[]", arrivals),
+    )
+    if status:
+        _raise_status(status)
+
+
+def find_ranked(values: Times, rank: int) -> tuple[int, int, int]:
+    """Return the value that has this many below it, the lowest and the highest one."""
+    ranked = ffi.new("canser_ranked *")
+    status = lib.canser_times_rank(ffi.from_buffer("int64_t[]", values), len(values), rank, ranked)
+    if status:
+        _raise_status(status)
+    return ranked.value, ranked.low, ranked.high
+
+
+def find_lowest(values: Times, rank: int) -> int:
+    """Return where the value stands that has this many below it, a few; the first of equal ones."""
+    index = ffi.new("size_t *")
+    status = lib.canser_times_lowest(ffi.from_buffer("int64_t[]", values), len(values), rank, index)
+    if status:
+        _raise_status(status)
+    return int(index[0])
+
+
+class Line:
+    """What a device's clock stands at, and the host times that follow.
+
+    `early`: how far a device time may lie before those of the past, and a host time behind
+    its arrival. `latest`: no host time lies before this one. See canser_times_map.
+    """
+
+    def __init__(self, early: int, latest: int) -> None:
+        self._line = ffi.new("canser_line *")
+        self._trust = ffi.new("canser_trust *", {"early": early})
+        self._latest = ffi.new("int64_t *", latest)
+
+    def lay(self, device: int, host: int, drift: float) -> None:
+        """Have the host's time be `host` when the device's is `device`."""
+        self._line.device, self._line.host, self._line.drift = device, host, drift
+
+    def pass_by(self, latest: int) -> None:
+        """Let no host time come before this one."""
+        self._latest[0] = latest
+
+    def find_heights(self, device: Times, arrivals: Times, heights: Times) -> None:
+        """Set `heights` to how far arrivals lie above the line."""
+        status = lib.canser_times_heights(
+            self._line,
+            ffi.from_buffer("int64_t[]", device),
+            ffi.from_buffer("int64_t[]", arrivals),
+            len(heights),
+            ffi.from_buffer("int64_t[]", heights),
+        )
+        if status:
+            _raise_status(status)
+
+    def map(self, device: Times, times: Times, reached: int, late: int) -> None:
+        """Turn arrivals into host times, in place.
+
+        `reached`: a device time of the past. `late`: how far a host time may lie before its
+        arrival.
+        """
+        self._trust.reached, self._trust.late = reached, late
+        status = lib.canser_times_map(
+            self._line,
+            self._trust,
+            ffi.from_buffer("int64_t[]", device),
+            len(times),
+            ffi.from_buffer("int64_t[]", times),
+            self._latest,
+        )
+        if status:
+            _raise_status(status)

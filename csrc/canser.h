@@ -40,6 +40,9 @@ extern "C" {
 /* The frames in which a chunk's clock must settle to be joined. */
 #define CANSER_SETTLE_MAX 64
 
+/* How many of the lowest values canser_times_lowest() tells apart. */
+#define CANSER_LOWEST_MAX 4
+
 /* Status codes: the caller's mistakes, found before a byte is touched. */
 enum {
     CANSER_OK = 0,
@@ -48,7 +51,10 @@ enum {
     CANSER_OVERLAP = 3,    /* an output shares bytes with the input or another output */
     CANSER_REFUSED = 4,    /* encode: the format cannot carry a frame */
     CANSER_TICK = 5,       /* tick_ns is less than 1 */
-    CANSER_APART = 6       /* join: the chunk does not begin where the stream stands */
+    CANSER_APART = 6,      /* join: the chunk does not begin where the stream stands */
+    CANSER_UNABLE = 7,     /* configure: the adapter takes no configuration */
+    CANSER_RANGE = 8,      /* a value is none that the adapter, or the call, can have */
+    CANSER_NO_CONTROL = 9  /* explain: the bytes are not one whole control packet */
 };
 
 /* Why no packet starts at a position. One skipped byte is one reject. */
@@ -75,6 +81,25 @@ enum {
     CANSER_REFUSAL_ERR,    /* the format has no error frames */
     CANSER_REFUSAL_TIME,   /* the format needs a time, and the frame has none */
     CANSER_REFUSAL_COUNT
+};
+
+/* How an adapter takes part in its bus. */
+enum {
+    CANSER_MODE_NORMAL,
+    CANSER_MODE_LOOPBACK, /* hears what it sends itself */
+    CANSER_MODE_SILENT,   /* listens, and never drives the bus: no acknowledgement either */
+    CANSER_MODE_LOOPBACK_SILENT,
+    CANSER_MODE_COUNT
+};
+
+/* What a control packet is. */
+enum {
+    CANSER_CONTROL_OTHER, /* nobody wrote down what it means */
+    CANSER_CONTROL_PING,
+    CANSER_CONTROL_STATUS,
+    CANSER_CONTROL_ERROR,
+    CANSER_CONTROL_CONFIGURATION,
+    CANSER_CONTROL_COUNT
 };
 
 /* One decoded frame, 24 bytes: the record of canser.FRAME_DTYPE. */
@@ -120,6 +145,12 @@ typedef struct {
     uint8_t near_line; /* 1: the frame at `jump_at` was near `line` */
 } canser_clock;
 
+/* A packet for the adapter, 21 bytes. */
+typedef struct {
+    uint8_t len;                      /* 0: there is none */
+    uint8_t bytes[CANSER_PACKET_MAX]; /* zero past len */
+} canser_packet;
+
 /* One wire format, a row of the table of protocols. Constant. */
 typedef struct {
     const char *name;
@@ -127,8 +158,62 @@ typedef struct {
     uint8_t frame_min;                /* the shortest frame in bytes */
     uint8_t frame_max;                /* the longest frame as encode writes it, in bytes */
     uint8_t has_clock;                /* 1: frames carry a device timestamp */
+    uint32_t baudrate;                /* of the serial line, as adapters come, in bit/s */
+    const uint32_t *bitrates;         /* of the bus, in bit/s, that an adapter can be configured
+                                       * to, 0 behind the last; NULL: it takes no configuration */
+    canser_packet ping;               /* comes straight back */
+    canser_packet status_request;     /* is answered by a status packet */
     const struct canser_codec *codec; /* private */
 } canser_protocol;
+
+/* How an adapter is to work. */
+typedef struct {
+    uint32_t bitrate;     /* of the bus, in bit/s: one of the row's */
+    uint32_t filter_id;   /* of the frames that pass, where the mask has a 1 */
+    uint32_t filter_mask; /* 0: all frames pass */
+    uint8_t mode;         /* CANSER_MODE_* */
+    uint8_t ext_only;     /* 1: receives extended frames only; 0: both kinds */
+    uint8_t once;         /* 1: sends no frame again that was not acknowledged */
+    uint8_t fixed;        /* 1: reports frames in packets of a fixed length */
+} canser_config;
+
+/* What a control packet says. Fields that its kind does not have are zero. */
+typedef struct {
+    int kind;                /* CANSER_CONTROL_* */
+    uint8_t receive_errors;  /* STATUS: the adapter's receive error counter */
+    uint8_t transmit_errors; /* STATUS: its transmit error counter */
+    uint8_t number;          /* ERROR: what has happened, by the adapter's own numbers */
+    canser_config config;    /* CONFIGURATION */
+} canser_report;
+
+/* The bytes of one read of a port, behind those of the read before. */
+typedef struct {
+    int64_t end; /* stream offset behind them */
+    int64_t ns;  /* when they had come */
+} canser_piece;
+
+/* What a device's clock stands at: host's time = host + run + run * drift, where run =
+ * device time - device; rounded towards `host + run`, modulo 2^64. */
+typedef struct {
+    int64_t device;
+    int64_t host;
+    double drift; /* between -1 and 1 */
+} canser_line;
+
+/* Which times a line gives are believed. */
+typedef struct {
+    int64_t reached; /* a device time that the clock had come to */
+    int64_t early;   /* 0 or more: how far a device time may lie before that one, and a host
+                      * time behind its arrival */
+    int64_t late;    /* how far a host time may lie before its arrival */
+} canser_trust;
+
+/* A value by its rank among others. */
+typedef struct {
+    int64_t value;
+    int64_t low; /* the lowest of all */
+    int64_t high;
+} canser_ranked;
 
 /* The state of one stream. Lives in the caller's memory, may be copied, holds
  * no pointer into the caller's buffers. Fields are the library's own. */
@@ -186,6 +271,11 @@ const char *canser_reject_name(int reason);
 /* What a refusal says and its remedy: one phrase, constant. NULL if there is no
  * such refusal. */
 const char *canser_refusal_text(int refusal);
+
+/* The name of a mode, and of a kind of control packets: lower case, constant. NULL
+ * if there is none such. */
+const char *canser_mode_name(int mode);
+const char *canser_control_name(int kind);
 
 /* Start a stream: all counters zero, nothing held, the clock not started.
  * `tick_ns` is the unit of the device's timestamps in nanoseconds; a protocol
@@ -263,6 +353,68 @@ int canser_decoder_flush(canser_decoder *self, canser_batch *batch);
  * CANSER_TICK, CANSER_MISALIGNED and CANSER_OVERLAP before anything was written. */
 int canser_encode(const canser_protocol *protocol, int64_t tick_ns, const canser_frame *frames,
                   size_t frame_count, uint8_t *out, size_t out_cap, canser_encoded *result);
+
+/* Make the packet that configures an adapter. Any flag but 0 counts as 1.
+ *
+ * Returns CANSER_OK; CANSER_NULL; CANSER_UNABLE where the row has no bit rates;
+ * CANSER_RANGE for a bit rate that is none of them, no mode, or a filter or mask over
+ * 0x1FFFFFFF. `*packet` is set on every return on which it is not NULL, to none after
+ * an error. */
+int canser_configure(const canser_protocol *protocol, const canser_config *config,
+                     canser_packet *packet);
+
+/* Tell what a control packet means: `len` bytes that are one, as a decoder gave it.
+ *
+ * The same bytes mean the same in both directions: a request for the status reads as
+ * a status without errors. What the format leaves open is CANSER_CONTROL_OTHER: unknown
+ * commands, and configurations with a value that canser_configure() never sends, but
+ * for filter and mask, of which all 32 bits are told.
+ *
+ * Returns CANSER_OK; CANSER_NULL; CANSER_NO_CONTROL where the bytes are a frame, noise,
+ * cut, or more than one packet. `*report` is set on every return on which it is not NULL,
+ * to OTHER after an error. */
+int canser_explain(const canser_protocol *protocol, const uint8_t *packet, size_t len,
+                   canser_report *report);
+
+/* When the bytes of frames had come over a line that takes `byte_ns`, 0 or more, for each.
+ *
+ * arrivals[i] is the time of the byte before offset behind[i]: where the next frame starts,
+ * or at `end` behind the last one, but at most `reach` bytes behind offsets[i]. It came
+ * with the first piece that ends there or behind; as much before pieces[].ns as the rest of
+ * that piece takes, rounded down, but not before the piece before. So pieces[0] only tells
+ * when the next one began, unless a frame lies in it. Behind the last piece all bytes have
+ * its time.
+ *
+ * Pieces and offsets are in ascending order, else the times are of no use. Returns
+ * CANSER_OK, or CANSER_NULL (also for no pieces), CANSER_MISALIGNED or CANSER_RANGE before
+ * anything is written. */
+int canser_times_arrivals(const canser_piece *pieces, size_t piece_count, double byte_ns,
+                          const int64_t *offsets, size_t count, int64_t end, int64_t reach,
+                          int64_t *arrivals);
+
+/* How far arrivals lie above a line: arrivals[i] less the host's time for device[i], modulo
+ * 2^64. Returns as canser_times_arrivals. */
+int canser_times_heights(const canser_line *line, const int64_t *device, const int64_t *arrivals,
+                         size_t count, int64_t *heights);
+
+/* Turn arrivals into host times by a line, in place: times[i] of a frame with device[i].
+ *
+ * One that is not believed stays as it is. The others have the host's time for device[i],
+ * but none behind its arrival, and none before *latest: that is the latest time so far, on
+ * entry and on return. Returns as canser_times_arrivals; after an error *latest is as it
+ * was. */
+int canser_times_map(const canser_line *line, const canser_trust *trust, const int64_t *device,
+                     size_t count, int64_t *times, int64_t *latest);
+
+/* The value that has `rank` others before it in ascending order, and the lowest and the highest
+ * one, in a time that grows as `count` does whatever the values are. Returns CANSER_OK;
+ * CANSER_NULL, also where there are no more than `rank` values; CANSER_MISALIGNED. `*ranked` is
+ * set on every return on which it is not NULL, to zeros after an error. */
+int canser_times_rank(const int64_t *values, size_t count, size_t rank, canser_ranked *ranked);
+
+/* Where the value stands that has `rank` others before it, less than CANSER_LOWEST_MAX; of those
+ * that are equal the first ones come first. Returns as canser_times_rank, or CANSER_RANGE. */
+int canser_times_lowest(const int64_t *values, size_t count, size_t rank, size_t *index);
 
 /* cffi: end */
 

@@ -126,7 +126,17 @@ CANSER_INLINE uint8_t *emit(const canser_frame *frame, uint32_t raw, uint8_t *ou
 #define FRAME_MAX (HEADER + DLC_MAX)
 #include "scan.h"
 
-static const struct canser_codec codec = {scan, encode};
+static void explain(const uint8_t *p, canser_report *report)
+{
+    if (p[2] == PING) {
+        report->kind = CANSER_CONTROL_PING;
+    } else {
+        report->kind = CANSER_CONTROL_ERROR;
+        report->number = p[3];
+    }
+}
+
+static const struct canser_codec codec = {.scan = scan, .encode = encode, .explain = explain};
 
 const canser_protocol canser_protocol_cantalope = {
     .name = "cantalope",
@@ -134,5 +144,7 @@ const canser_protocol canser_protocol_cantalope = {
     .frame_min = FRAME_MIN,
     .frame_max = FRAME_MAX,
     .has_clock = HAS_CLOCK,
+    .baudrate = 115200,
+    .ping = {PING_LEN, {COMMAND, COMMAND, PING}},
     .codec = &codec,
 };

@@ -70,11 +70,6 @@ static bool spans_meet(span a, span b)
     return a.begin < b.end && b.begin < a.end;
 }
 
-static bool misaligned(const void *p, size_t alignment)
-{
-    return (uintptr_t)p % alignment != 0;
-}
-
 /* Everything that can be wrong with a batch and the input it is to be filled
  * from. Sets the counts to zero. */
 static int check_batch(canser_batch *batch, const uint8_t *data, size_t data_len)

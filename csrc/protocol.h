@@ -116,7 +116,18 @@ struct canser_codec {
      * SCAN_WINDOW bytes are left in `out`. */
     void (*encode)(const canser_frame *frames, size_t frame_count, int64_t tick_ns, uint8_t *out,
                    size_t out_cap, canser_encoded *result);
+    /* Write the configuration packet: all values are in range, and the bit rate is
+     * bitrates[rate]. NULL where the row has no bit rates. */
+    void (*configure)(const canser_config *config, size_t rate, canser_packet *packet);
+    /* Tell what one whole control packet means, in a report that is all zero. NULL
+     * where the format has none. */
+    void (*explain)(const uint8_t *packet, canser_report *report);
 };
+
+CANSER_INLINE bool misaligned(const void *p, size_t alignment)
+{
+    return (uintptr_t)p % alignment != 0;
+}
 
 CANSER_INLINE uint32_t load_le16(const uint8_t *p)
 {

@@ -12,8 +12,19 @@
  *     AA 55 01 | 1 std, 2 ext | 1 data, 2 remote | id u32 LE | dlc | data[8] | 0 | sum
  *      0         3              4                  5           9     10        18  19
  *
+ *     command 04 asks for the status, and is the status that comes back:
+ *     AA 55 04 | receive errors | transmit errors | 00 * 14 | sum
+ *      0         3                4                 5         19
+ *
+ *     command 12 or 02 configures the adapter, which then reports frames in packets of
+ *     variable (12) or fixed (02) length; let it settle for 100 ms:
+ *     AA 55 12 | bitrate | kinds | filter u32 LE | mask u32 LE | mode | once | 00 * 4 | sum
+ *      0         3         4       5               9             13     14     15       19
+ *     bitrate: 01..0C, the places in `bitrates` below; kinds: 1 both, 2 extended only;
+ *     mode: 0 normal, 1 loopback, 2 silent, 3 both; once: 1 no retransmission
+ *
  * Source: Seeed's "Serial port (USB) to CAN protocol definition"; Waveshare's
- * protocol of the USB-CAN-A for the fixed packets.
+ * protocol of the USB-CAN-A for the fixed packets; python-can 4.6 for the status.
  *
  * Known ambiguities:
  * - The document's remark that in E2 bit 5 is 0 is a slip: it is 1, extended.
@@ -22,6 +33,10 @@
  *   dlc bytes later. Written with dlc zero bytes, as the device expects.
  * - AA and 55 inside ids and payloads are normal.
  * - There is no timestamp.
+ * - Of the modes Waveshare's page says 1 silent, 2 loopback; the programs that work
+ *   with real adapters have it as above.
+ * - The four zeros of a configuration are a "manual bitrate config, details unknown" to
+ *   python-can: where they are not zero nobody knows what is configured.
  */
 #include "vector.h"
 
@@ -37,12 +52,18 @@ enum {
 /* The end mark of a data frame is looked at before its dlc is known to be good. */
 _Static_assert(6 + TYPE_DLC + 1 <= SCAN_WINDOW, "the longest length a type byte can claim");
 
-CANSER_NOINLINE probe_result probe_fixed(const uint8_t *p, canser_frame *frame)
+/* What the last byte of a fixed packet must be. */
+CANSER_INLINE uint8_t fixed_sum(const uint8_t *p)
 {
     unsigned sum = 0;
     for (int i = 2; i < FIXED_LEN - 1; i++)
         sum += p[i];
-    if ((sum & 0xFF) != p[FIXED_LEN - 1])
+    return (uint8_t)sum;
+}
+
+CANSER_NOINLINE probe_result probe_fixed(const uint8_t *p, canser_frame *frame)
+{
+    if (fixed_sum(p) != p[FIXED_LEN - 1])
         return probe_reject(CANSER_REJECT_SUM);
     if (p[2] != FIXED_FRAME)
         return probe_control(FIXED_LEN);
@@ -304,7 +325,61 @@ CANSER_INLINE uint8_t *emit(const canser_frame *frame, uint32_t raw, uint8_t *ou
 #define FRAME_MAX FIXED_LEN
 #include "scan.h"
 
-static const struct canser_codec codec = {scan, encode};
+/* Commands of control packets. */
+enum { STATUS = 0x04, CONFIGURE = 0x12, CONFIGURE_FIXED = 0x02 };
+
+enum { KINDS_ALL = 1, KINDS_EXT = 2, RATES = 12, RATE_FIRST = 1 };
+
+static const uint32_t bitrates[RATES + 1] = {1000000, 800000, 500000, 400000, 250000, 200000,
+                                             125000,  100000, 50000,  20000,  10000,  5000};
+
+_Static_assert(CANSER_MODE_NORMAL == 0 && CANSER_MODE_LOOPBACK == 1 && CANSER_MODE_SILENT == 2 &&
+                   CANSER_MODE_LOOPBACK_SILENT == 3,
+               "the modes are the wire's");
+
+static void configure(const canser_config *config, size_t rate, canser_packet *packet)
+{
+    uint8_t *const p = packet->bytes;
+
+    packet->len = FIXED_LEN;
+    p[0] = START;
+    p[1] = FIXED;
+    p[2] = config->fixed ? CONFIGURE_FIXED : CONFIGURE;
+    p[3] = (uint8_t)(RATE_FIRST + rate);
+    p[4] = config->ext_only ? KINDS_EXT : KINDS_ALL;
+    store_le32(p + 5, config->filter_id);
+    store_le32(p + 9, config->filter_mask);
+    p[13] = config->mode;
+    p[14] = config->once != 0;
+    p[FIXED_LEN - 1] = fixed_sum(p);
+}
+
+static void explain(const uint8_t *p, canser_report *report)
+{
+    if (p[2] == STATUS) {
+        report->kind = CANSER_CONTROL_STATUS;
+        report->receive_errors = p[3];
+        report->transmit_errors = p[4];
+        return;
+    }
+    if ((p[2] != CONFIGURE && p[2] != CONFIGURE_FIXED) || p[3] < RATE_FIRST ||
+        p[3] >= RATE_FIRST + RATES || (p[4] != KINDS_ALL && p[4] != KINDS_EXT) ||
+        p[13] >= CANSER_MODE_COUNT || p[14] > 1 || load_le32(p + 15) != 0)
+        return;
+    report->kind = CANSER_CONTROL_CONFIGURATION;
+    report->config = (canser_config){
+        .bitrate = bitrates[p[3] - RATE_FIRST],
+        .filter_id = load_le32(p + 5),
+        .filter_mask = load_le32(p + 9),
+        .mode = p[13],
+        .ext_only = p[4] == KINDS_EXT,
+        .once = p[14],
+        .fixed = p[2] == CONFIGURE_FIXED,
+    };
+}
+
+static const struct canser_codec codec = {
+    .scan = scan, .encode = encode, .configure = configure, .explain = explain};
 
 const canser_protocol canser_protocol_seeed = {
     .name = "seeed",
@@ -312,5 +387,9 @@ const canser_protocol canser_protocol_seeed = {
     .frame_min = FRAME_MIN,
     .frame_max = 6 + DLC_MAX + 1,
     .has_clock = HAS_CLOCK,
+    .baudrate = 2000000,
+    .bitrates = bitrates,
+    /* The sum is that of the command alone. */
+    .status_request = {FIXED_LEN, {START, FIXED, STATUS, [FIXED_LEN - 1] = STATUS}},
     .codec = &codec,
 };

@@ -169,7 +169,7 @@ CANSER_INLINE uint8_t *emit(const canser_frame *frame, uint32_t raw, uint8_t *ou
 #define FRAME_MAX (HEADER + DLC_MAX + 1)
 #include "scan.h"
 
-static const struct canser_codec codec = {scan, encode};
+static const struct canser_codec codec = {.scan = scan, .encode = encode};
 
 const canser_protocol canser_protocol_serial = {
     .name = "serial",
@@ -177,5 +177,6 @@ const canser_protocol canser_protocol_serial = {
     .frame_min = FRAME_MIN,
     .frame_max = FRAME_MAX,
     .has_clock = HAS_CLOCK,
+    .baudrate = 115200,
     .codec = &codec,
 };

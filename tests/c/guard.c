@@ -11,6 +11,7 @@
 
 #include "drive.h"
 
+#include <math.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -1120,6 +1121,206 @@ static void test_encode_arguments(void)
 }
 
 /* The names and the numbers that the header promises. */
+/* Bytes that are all zero are no report and no packet. */
+static bool is_zero(const void *p, size_t size)
+{
+    return is_filled(p, (const uint8_t *)p + size, 0);
+}
+
+/* canser_explain, with all memory against guard pages. */
+static int explain(const uint8_t *bytes, size_t len, canser_report *report)
+{
+    uint8_t *const input = place(DRIVE_INPUT, len);
+    canser_report *const out = place(DRIVE_CONTROLS, sizeof *out);
+
+    if (len)
+        memcpy(input, bytes, len);
+    const int status = canser_explain(canser_protocol_at((size_t)now.protocol), input, len, out);
+    check(len == 0 || memcmp(input, bytes, len) == 0, "the packet was written");
+    drop(DRIVE_INPUT, input, len);
+    drop(DRIVE_CONTROLS, out, sizeof *out);
+    *report = *out;
+    return status;
+}
+
+/* Explained is what is one control packet, and nothing else is. */
+static void check_explained(const uint8_t *bytes, size_t len)
+{
+    canser_report report;
+
+    plain_begin(&open_stream, now.protocol, 1000);
+    plain_scan(&open_stream, bytes, len, false);
+    const bool is_control =
+        open_stream.control_count == 1 && open_stream.stats.bytes_control == len;
+    now.len = len;
+    check(explain(bytes, len, &report) == (is_control ? CANSER_OK : CANSER_NO_CONTROL),
+          "another status");
+    check(is_control || is_zero(&report, sizeof report), "the report is not set");
+
+    int kind = CANSER_CONTROL_OTHER;
+    if (is_control && now.protocol == PLAIN_CANTALOPE)
+        kind = bytes[2] == 0x00 ? CANSER_CONTROL_PING : CANSER_CONTROL_ERROR;
+    else if (is_control && bytes[2] == 0x04)
+        kind = CANSER_CONTROL_STATUS;
+    else if (report.kind == CANSER_CONTROL_CONFIGURATION) /* test_configure says when */
+        kind = report.kind;
+    check(report.kind == kind, "another kind");
+}
+
+static void test_explain(void)
+{
+    enum { TRIES = 400 };
+
+    now.part = "explain";
+    now.shift = 0;
+    for (now.protocol = 0; now.protocol < PLAIN_PROTOCOL_COUNT; now.protocol++) {
+        for (int side = 0; side < 2; side++) {
+            now.at_end = side;
+            for (int i = 0; i < TRIES; i++) {
+                uint8_t bytes[2 * CANSER_PACKET_MAX + 1];
+                size_t len = random_packet(now.protocol, bytes);
+
+                check_explained(bytes, len);
+                check_explained(bytes, len - 1);
+                len += random_packet(now.protocol, bytes + len);
+                check_explained(bytes, len);
+            }
+            for (now.kind = 0; now.kind < KIND_COUNT; now.kind++) {
+                for (size_t len = 0; len <= CANSER_PACKET_MAX + 1; len++) {
+                    uint8_t bytes[CANSER_PACKET_MAX + 1];
+
+                    make_stream(now.protocol, now.kind, bytes, len);
+                    check_explained(bytes, len);
+                }
+            }
+        }
+    }
+}
+
+/* A configuration of which any value may be out of range. */
+static canser_config random_config(void)
+{
+    static const uint32_t rates[] = {1000000, 800000, 500000, 400000, 250000, 200000, 125000,
+                                     100000,  50000,  20000,  10000,  5000,   0,      5001};
+    static const uint32_t ids[] = {0, 0x123, 0x12345678, 0x1FFFFFFF, 0x20000000, UINT32_MAX};
+
+    return (canser_config){
+        .bitrate = rates[random_below(sizeof rates / sizeof *rates)],
+        .filter_id = ids[random_below(sizeof ids / sizeof *ids)],
+        .filter_mask = ids[random_below(sizeof ids / sizeof *ids)],
+        .mode = (uint8_t)random_below(CANSER_MODE_COUNT + 1),
+        .ext_only = (uint8_t)random_below(3),
+        .once = (uint8_t)random_below(3),
+        .fixed = (uint8_t)random_below(3),
+    };
+}
+
+static int plain_configure_status(const canser_config *config)
+{
+    if (now.protocol != PLAIN_SEEED)
+        return CANSER_UNABLE;
+    return config->bitrate < 5000 || config->bitrate == 5001 || config->filter_id > 0x1FFFFFFF ||
+                   config->filter_mask > 0x1FFFFFFF || config->mode > 3
+               ? CANSER_RANGE
+               : CANSER_OK;
+}
+
+/* What is configured is what the packet, a control packet, says. */
+static void check_configured(const canser_config *config)
+{
+    canser_config *const input = place(DRIVE_INPUT, sizeof *input);
+    canser_packet *const out = place(DRIVE_CONTROLS, sizeof *out);
+    canser_report report;
+
+    *input = *config;
+    const int expected = plain_configure_status(config);
+    check(canser_configure(canser_protocol_at((size_t)now.protocol), input, out) == expected,
+          "another status");
+    const canser_packet packet = *out;
+    drop(DRIVE_INPUT, input, sizeof *input);
+    drop(DRIVE_CONTROLS, out, sizeof *out);
+    if (expected) {
+        check(is_zero(&packet, sizeof packet), "there is a packet after an error");
+        return;
+    }
+    check(packet.len == CANSER_PACKET_MAX, "another length");
+    check_explained(packet.bytes, packet.len);
+    check(explain(packet.bytes, packet.len, &report) == CANSER_OK, "no control packet");
+    check(report.kind == CANSER_CONTROL_CONFIGURATION && report.receive_errors == 0 &&
+              report.transmit_errors == 0 && report.number == 0,
+          "no configuration");
+    const canser_config *const told = &report.config;
+    check(told->bitrate == config->bitrate && told->filter_id == config->filter_id &&
+              told->filter_mask == config->filter_mask && told->mode == config->mode &&
+              told->ext_only == (config->ext_only != 0) && told->once == (config->once != 0) &&
+              told->fixed == (config->fixed != 0),
+          "another configuration is told");
+}
+
+static void test_configure(void)
+{
+    enum { TRIES = 2000 };
+
+    now.part = "configure";
+    now.kind = 0;
+    now.shift = 0;
+    for (now.protocol = 0; now.protocol < PLAIN_PROTOCOL_COUNT; now.protocol++) {
+        for (int i = 0; i < TRIES; i++) {
+            const canser_config config = random_config();
+
+            now.at_end = i % 2;
+            check_configured(&config);
+        }
+    }
+}
+
+static void test_adapter_arguments(void)
+{
+    const canser_protocol *const protocol = canser_protocol_at((size_t)now.protocol);
+    const canser_config config = {.bitrate = 500000};
+    const uint8_t byte = 0xFF;
+    canser_packet packet;
+    canser_report report;
+
+    now.part = "configure: NULL";
+    memset(&packet, 0x5A, sizeof packet);
+    check(canser_configure(NULL, &config, &packet) == CANSER_NULL, "another status");
+    check(is_zero(&packet, sizeof packet), "the packet is not set");
+    memset(&packet, 0x5A, sizeof packet);
+    check(canser_configure(protocol, NULL, &packet) == CANSER_NULL, "another status");
+    check(is_zero(&packet, sizeof packet), "the packet is not set");
+    check(canser_configure(protocol, &config, NULL) == CANSER_NULL, "another status");
+
+    now.part = "explain: NULL";
+    memset(&report, 0x5A, sizeof report);
+    check(canser_explain(NULL, &byte, 1, &report) == CANSER_NULL, "another status");
+    check(is_zero(&report, sizeof report), "the report is not set");
+    memset(&report, 0x5A, sizeof report);
+    check(canser_explain(protocol, NULL, 1, &report) == CANSER_NULL, "another status");
+    check(is_zero(&report, sizeof report), "the report is not set");
+    check(canser_explain(protocol, &byte, 1, NULL) == CANSER_NULL, "another status");
+
+    now.part = "explain: no bytes";
+    memset(&report, 0x5A, sizeof report);
+    check(canser_explain(protocol, NULL, 0, &report) == CANSER_NO_CONTROL, "another status");
+    check(is_zero(&report, sizeof report), "the report is not set");
+}
+
+/* The packets of a row are control packets, or none. */
+static void check_row_packet(const canser_packet *packet, int protocol, int kind)
+{
+    canser_report report;
+
+    now.len = packet->len;
+    check((packet->len != 0) == (now.protocol == protocol), "a packet that is there, or is not");
+    check(is_zero(packet->bytes + packet->len, sizeof packet->bytes - packet->len),
+          "padding is not zero");
+    if (packet->len) {
+        check(explain(packet->bytes, packet->len, &report) == CANSER_OK && report.kind == kind,
+              "another kind of packet");
+    }
+}
+
 static void test_tables(void)
 {
     now.part = "tables";
@@ -1139,6 +1340,12 @@ static void test_tables(void)
         }
         check(p && p->frame_min == len_min, "frame_min");
         check(p && p->frame_max == len_max, "frame_max");
+        check(p && p->baudrate == (now.protocol == PLAIN_SEEED ? 2000000 : 115200), "baudrate");
+        check(p && (p->bitrates != NULL) == (now.protocol == PLAIN_SEEED), "bitrates");
+        if (p) {
+            check_row_packet(&p->ping, PLAIN_CANTALOPE, CANSER_CONTROL_PING);
+            check_row_packet(&p->status_request, PLAIN_SEEED, CANSER_CONTROL_STATUS);
+        }
     }
     check(!canser_protocol_at(PLAIN_PROTOCOL_COUNT) && !canser_protocol_at(SIZE_MAX),
           "there is a protocol past the last");
@@ -1155,6 +1362,294 @@ static void test_tables(void)
         check(canser_refusal_text(i), "a refusal has no text");
     check(!canser_refusal_text(-1) && !canser_refusal_text(CANSER_REFUSAL_COUNT),
           "there is a refusal past the last");
+    for (int i = 0; i < CANSER_MODE_COUNT; i++)
+        check(canser_mode_name(i), "a mode has no name");
+    check(!canser_mode_name(-1) && !canser_mode_name(CANSER_MODE_COUNT),
+          "there is a mode past the last");
+    for (int i = 0; i < CANSER_CONTROL_COUNT; i++)
+        check(canser_control_name(i), "a kind of control packets has no name");
+    check(!canser_control_name(-1) && !canser_control_name(CANSER_CONTROL_COUNT),
+          "there is a kind of control packets past the last");
+}
+
+/* Times: a call has values of its own in memory against guard pages, more of them than are
+ * told apart in one go. */
+enum { TIMES_MAX = 2200, TIMES_ARRAYS = 3 };
+
+static arena times_arenas[TIMES_ARRAYS];
+
+static int64_t *place_times(int array, const int64_t *values, size_t count)
+{
+    int64_t *const p = (int64_t *)(void *)put(&times_arenas[array], count * sizeof *p, 0, 0x5A);
+
+    if (count)
+        memcpy(p, values, count * sizeof *p);
+    return p;
+}
+
+/* Whether the memory around an array is as it was, and the array too. */
+static void check_times(int array, const int64_t *p, const int64_t *values, size_t count)
+{
+    const void *const bytes = p;
+
+    check(is_clean_around(&times_arenas[array], bytes, count * sizeof *p, 0x5A),
+          "memory around an array was written");
+    check(!count || memcmp(p, values, count * sizeof *p) == 0, "the times differ");
+}
+
+/* A time as they come, or any. */
+static int64_t random_time(int kind)
+{
+    static const int64_t edges[] = {INT64_MIN, INT64_MIN + 1, -1, 0, 1, INT64_MAX - 1, INT64_MAX};
+    const int64_t epoch = INT64_C(1790000000000000000);
+
+    switch (kind) {
+    case 0:
+        return epoch + (int64_t)random_below(1 << 24);
+    case 1:
+        return (int64_t)random_below(4);
+    case 2:
+        return epoch + (int64_t)(random_word() >> random_below(50));
+    case 3:
+        return edges[random_below(sizeof edges / sizeof *edges)];
+    default:
+        return random_below(50) ? epoch + (int64_t)random_below(1 << 20)
+                                : (int64_t)(random_word() << 8 ^ random_word());
+    }
+}
+
+static int64_t wrap(uint64_t value)
+{
+    return value > INT64_MAX ? -(int64_t)(UINT64_MAX - value) - 1 : (int64_t)value;
+}
+
+static int64_t less(int64_t a, int64_t b)
+{
+    return wrap((uint64_t)a - (uint64_t)b);
+}
+
+static int compare_times(const void *a, const void *b)
+{
+    const int64_t *const x = a, *const y = b;
+    return (*x > *y) - (*x < *y);
+}
+
+static void check_ranks(const int64_t *values, size_t count)
+{
+    static int64_t sorted[TIMES_MAX];
+    const int64_t *const p = place_times(0, values, count);
+    canser_ranked ranked;
+    size_t index, before = 0;
+
+    memcpy(sorted, values, count * sizeof *values);
+    qsort(sorted, count, sizeof *sorted, compare_times);
+    for (int i = 0; i < 4; i++) {
+        const size_t rank = i < 2 ? (size_t)i * (count - 1) : random_below(count);
+        check(canser_times_rank(p, count, rank, &ranked) == CANSER_OK, "another status");
+        check(ranked.value == sorted[rank] && ranked.low == sorted[0] &&
+                  ranked.high == sorted[count - 1],
+              "another rank");
+    }
+    for (size_t rank = 0; rank < CANSER_LOWEST_MAX && rank < count; rank++) {
+        check(canser_times_lowest(p, count, rank, &index) == CANSER_OK, "another status");
+        check(index < count && values[index] == sorted[rank], "another one is the lowest");
+        for (size_t i = before = 0; i < count; i++)
+            before += values[i] < values[index] || (values[i] == values[index] && i < index);
+        check(before == rank, "equal ones do not come in order");
+    }
+    check_times(0, p, values, count);
+}
+
+static void check_mapped(const int64_t *device, const int64_t *arrivals, size_t count)
+{
+    static int64_t heights[TIMES_MAX], times[TIMES_MAX];
+    const canser_line line = {random_time(now.kind), random_time(now.kind),
+                              random_below(3) ? (double)random_below(2001) / 1e6 - 1e-3 : -0.999};
+    const canser_trust trust = {random_below(2) ? line.device : INT64_MIN,
+                                (int64_t)random_below(1 << 22), (int64_t)random_below(1 << 23)};
+    int64_t latest = random_below(2) ? -((int64_t)1 << 62) : random_time(now.kind), held = latest;
+
+    for (size_t i = 0; i < count; i++) {
+        const int64_t run = less(device[i], line.device);
+        const int64_t drifted = (int64_t)((double)run * line.drift);
+        const int64_t time = wrap((uint64_t)run + (uint64_t)drifted + (uint64_t)line.host);
+
+        heights[i] = less(arrivals[i], time);
+        times[i] = arrivals[i];
+        if (heights[i] >= -trust.early && heights[i] <= trust.late &&
+            less(device[i], trust.reached) >= -trust.early) {
+            const int64_t possible = time < arrivals[i] ? time : arrivals[i];
+            held = possible > held ? possible : held;
+            times[i] = held;
+        }
+    }
+    const int64_t *const d = place_times(0, device, count);
+    const int64_t *const a = place_times(1, arrivals, count);
+    int64_t *const out = place_times(2, arrivals, count);
+    check(canser_times_map(&line, &trust, d, count, out, &latest) == CANSER_OK, "another status");
+    check(latest == held, "latest differs");
+    check_times(2, out, times, count);
+    check(canser_times_heights(&line, d, a, count, out) == CANSER_OK, "another status");
+    check_times(0, d, device, count);
+    check_times(1, a, arrivals, count);
+    check_times(2, out, heights, count);
+}
+
+static void check_arrivals(size_t piece_count, size_t count)
+{
+    static const double byte_ns[] = {0, 86805.5, 1e300};
+    static int64_t pieces[2 * TIMES_MAX], offsets[TIMES_MAX], times[TIMES_MAX];
+    const double each = byte_ns[random_below(3)];
+    const int64_t reach = 1 + (int64_t)random_below(30);
+    int64_t end = 0, ns = -1000, offset = (int64_t)random_below(3);
+
+    for (size_t i = 0; i < piece_count; i++) {
+        pieces[2 * i] = end += (int64_t)random_below(64);
+        pieces[2 * i + 1] = ns += (int64_t)random_below(1 << 20);
+    }
+    /* Some of them lie behind all pieces. */
+    for (size_t i = 0; i < count; i++)
+        offset = 1 + (offsets[i] = offset + (int64_t)random_below(40));
+    end = offset + (int64_t)random_below(40);
+    for (size_t i = 0; i < count; i++) {
+        const int64_t next = i + 1 < count ? offsets[i + 1] : end;
+        const int64_t behind = next < offsets[i] + reach ? next : offsets[i] + reach;
+        size_t k = 0;
+
+        while (k < piece_count - 1 && pieces[2 * k] < behind)
+            k++;
+        const int64_t more = pieces[2 * k] > behind ? pieces[2 * k] - behind : 0;
+        const double early = (double)more * each;
+        times[i] = less(pieces[2 * k + 1], early < 9e18 ? (int64_t)early : INT64_MAX);
+        if (k && times[i] < pieces[2 * k - 1])
+            times[i] = pieces[2 * k - 1];
+    }
+    const int64_t *const p = place_times(0, pieces, 2 * piece_count);
+    const int64_t *const o = place_times(1, offsets, count);
+    int64_t *const out = place_times(2, offsets, count);
+    check(canser_times_arrivals((const canser_piece *)(const void *)p, piece_count, each, o, count,
+                                end, reach, out) == CANSER_OK,
+          "another status");
+    check_times(0, p, pieces, 2 * piece_count);
+    check_times(1, o, offsets, count);
+    check_times(2, out, times, count);
+}
+
+static void test_times(void)
+{
+    static int64_t values[2][TIMES_MAX];
+
+    now.part = "times";
+    now.protocol = 0;
+    for (int i = 0; i < TIMES_ARRAYS; i++)
+        times_arenas[i] = arena_new(2 * TIMES_MAX * sizeof(int64_t));
+    for (size_t round = 0; round < 600; round++) {
+        const size_t count = round < 60 ? round : random_below(random_below(8) ? 60 : TIMES_MAX);
+
+        now.kind = (int)(round % 5);
+        now.at_end = round % 2;
+        now.len = count;
+        for (size_t i = 0; i < count; i++) {
+            values[0][i] = random_time(now.kind);
+            values[1][i] = random_below(2) ? random_time(now.kind)
+                                           : wrap((uint64_t)values[0][i] + random_below(1 << 24));
+        }
+        check_mapped(values[0], values[1], count);
+        check_arrivals(1 + random_below(60), count);
+        if (!count)
+            continue;
+        check_ranks(values[0], count);
+        qsort(values[0], count, sizeof **values, compare_times);
+        check_ranks(values[0], count);
+    }
+}
+
+static void test_times_arguments(void)
+{
+    const canser_line line = {0, 0, 0.5}, wild = {0, 0, 1}, odd = {0, 0, NAN};
+    const canser_trust trust = {0, 1, 1}, bad = {0, -1, 1};
+    const canser_piece pieces[2] = {{0, 0}, {9, 9}};
+    const int64_t in[4] = {5, 6, 7, 8};
+    int64_t memory[4], latest = 3;
+    int64_t *const out = memory, *const off = behind(memory, 1);
+    const int64_t *const in_off = (const int64_t *)(const void *)((const uint8_t *)in + 1);
+    canser_ranked ranked;
+    size_t index;
+
+    memset(memory, 0x5A, sizeof memory);
+    const struct {
+        const char *what;
+        int status, expected;
+    } calls[] = {
+        {"pieces NULL", canser_times_arrivals(NULL, 2, 1, in, 2, 9, 1, out), CANSER_NULL},
+        {"no pieces", canser_times_arrivals(pieces, 0, 1, in, 2, 9, 1, out), CANSER_NULL},
+        {"offsets NULL", canser_times_arrivals(pieces, 2, 1, NULL, 2, 9, 1, out), CANSER_NULL},
+        {"arrivals NULL", canser_times_arrivals(pieces, 2, 1, in, 2, 9, 1, NULL), CANSER_NULL},
+        {"no frames", canser_times_arrivals(pieces, 2, 1, NULL, 0, 9, 1, NULL), CANSER_OK},
+        {"pieces",
+         canser_times_arrivals(behind((void *)(uintptr_t)pieces, 1), 1, 1, in, 1, 9, 1, out),
+         CANSER_MISALIGNED},
+        {"offsets", canser_times_arrivals(pieces, 2, 1, in_off, 2, 9, 1, out), CANSER_MISALIGNED},
+        {"arrivals", canser_times_arrivals(pieces, 2, 1, in, 2, 9, 1, off), CANSER_MISALIGNED},
+        {"byte_ns", canser_times_arrivals(pieces, 2, -1, in, 2, 9, 1, out), CANSER_RANGE},
+        {"byte_ns", canser_times_arrivals(pieces, 2, NAN, in, 2, 9, 1, out), CANSER_RANGE},
+        {"line NULL", canser_times_heights(NULL, in, in, 4, out), CANSER_NULL},
+        {"device NULL", canser_times_heights(&line, NULL, in, 4, out), CANSER_NULL},
+        {"arrivals NULL", canser_times_heights(&line, in, NULL, 4, out), CANSER_NULL},
+        {"heights NULL", canser_times_heights(&line, in, in, 4, NULL), CANSER_NULL},
+        {"no heights", canser_times_heights(&line, NULL, NULL, 0, NULL), CANSER_OK},
+        {"device", canser_times_heights(&line, in_off, in, 3, out), CANSER_MISALIGNED},
+        {"arrivals", canser_times_heights(&line, in, in_off, 3, out), CANSER_MISALIGNED},
+        {"heights", canser_times_heights(&line, in, in, 3, off), CANSER_MISALIGNED},
+        {"drift", canser_times_heights(&wild, in, in, 4, out), CANSER_RANGE},
+        {"drift", canser_times_heights(&odd, in, in, 4, out), CANSER_RANGE},
+        {"line NULL", canser_times_map(NULL, &trust, in, 4, out, &latest), CANSER_NULL},
+        {"trust NULL", canser_times_map(&line, NULL, in, 4, out, &latest), CANSER_NULL},
+        {"device NULL", canser_times_map(&line, &trust, NULL, 4, out, &latest), CANSER_NULL},
+        {"times NULL", canser_times_map(&line, &trust, in, 4, NULL, &latest), CANSER_NULL},
+        {"latest NULL", canser_times_map(&line, &trust, in, 4, out, NULL), CANSER_NULL},
+        {"no times", canser_times_map(&line, &trust, NULL, 0, NULL, &latest), CANSER_OK},
+        {"device", canser_times_map(&line, &trust, in_off, 3, out, &latest), CANSER_MISALIGNED},
+        {"times", canser_times_map(&line, &trust, in, 3, off, &latest), CANSER_MISALIGNED},
+        {"drift", canser_times_map(&wild, &trust, in, 4, out, &latest), CANSER_RANGE},
+        {"early", canser_times_map(&line, &bad, in, 4, out, &latest), CANSER_RANGE},
+        {"ranked NULL", canser_times_rank(in, 4, 0, NULL), CANSER_NULL},
+        {"index NULL", canser_times_lowest(in, 4, 0, NULL), CANSER_NULL},
+    };
+    for (size_t i = 0; i < sizeof calls / sizeof *calls; i++) {
+        now.part = calls[i].what;
+        check(calls[i].status == calls[i].expected, "another status");
+    }
+    now.part = "times: what is left";
+    check(is_filled((const uint8_t *)memory, (const uint8_t *)(memory + 4), 0x5A) && latest == 3,
+          "something was written");
+
+    const struct {
+        const int64_t *values;
+        size_t count, rank;
+        int expected;
+    } ranks[] = {{NULL, 4, 0, CANSER_NULL},
+                 {in, 4, 4, CANSER_NULL},
+                 {in, 0, 0, CANSER_NULL},
+                 {in_off, 3, 0, CANSER_MISALIGNED}};
+    for (size_t i = 0; i < sizeof ranks / sizeof *ranks; i++) {
+        now.part = "ranks";
+        now.len = i;
+        ranked = (canser_ranked){1, 1, 1};
+        index = 1;
+        check(canser_times_rank(ranks[i].values, ranks[i].count, ranks[i].rank, &ranked) ==
+                      ranks[i].expected &&
+                  is_zero(&ranked, sizeof ranked),
+              "rank");
+        check(canser_times_lowest(ranks[i].values, ranks[i].count, ranks[i].rank, &index) ==
+                      ranks[i].expected &&
+                  index == 0,
+              "lowest");
+    }
+    const int64_t many[CANSER_LOWEST_MAX + 1] = {0};
+    check(canser_times_lowest(many, CANSER_LOWEST_MAX + 1, CANSER_LOWEST_MAX, &index) ==
+              CANSER_RANGE,
+          "a rank that is not told apart");
 }
 
 /* A call of canser_chunk_decode() that must be refused. */
@@ -1338,6 +1833,7 @@ static void test_arguments(void)
         test_chunk_arguments(&b);
         test_join_arguments(&b);
         test_encode_arguments();
+        test_adapter_arguments();
     }
     test_full_controls();
     test_tables();
@@ -1447,6 +1943,10 @@ int main(int argc, char **argv)
         test_chunk_chains();
         test_encode();
         test_refusals();
+        test_configure();
+        test_explain();
+        test_times();
+        test_times_arguments();
         test_arguments();
     }
     printf("%llu passed, %llu failed\n", passed, failed);
