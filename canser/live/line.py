@@ -1,0 +1,388 @@
+"""A serial line as bytes: opened raw and exclusive by any URL, read in place, written.
+
+pyserial opens and sets the line. Bytes are then read and written through the descriptor where
+there is one: pyserial's own `read` loses what it has when a port dies, and uses select(), which
+ends at 1023 descriptors.
+"""
+
+import contextlib
+import errno
+import os
+import select
+import socket
+import stat
+import sys
+import time
+from typing import Any, Final, Protocol
+from urllib.parse import urlsplit
+
+from canser.errors import (
+    PortBusyError,
+    PortDeniedError,
+    PortError,
+    PortGoneError,
+    PortNotFoundError,
+)
+
+if sys.platform != "win32":
+    import fcntl
+    import grp
+    import termios
+
+__all__ = ["Line", "open_line"]
+
+# Seconds in which a TCP connection must come about.
+_CONNECT_PATIENCE: Final = 5.0
+
+# Lines without a descriptor cannot be woken: so often they look whether they shall end.
+_LOOK_EVERY: Final = 0.1
+
+
+class Line(Protocol):
+    """An open line. One thread reads and one writes at a time."""
+
+    def read_into(self, room: memoryview, timeout: float | None) -> int:
+        """Read what is there, at least one byte, into `room`; return how many.
+
+        0 after `timeout` seconds (None: never) or after `wake`. PortGoneError when the
+        line is dead.
+        """
+
+    def write(self, data: memoryview, timeout: float | None) -> int:
+        """Write what fits, return how many bytes; 0 after `timeout` seconds."""
+
+    def unwritten(self) -> int:
+        """Return how many written bytes the system still holds."""
+
+    def wake(self) -> None:
+        """Let a `read_into` of another thread return at once."""
+
+    def close(self) -> None:
+        """Close the line; nobody may be in `read_into`."""
+
+
+def open_line(url: str, baudrate: int, *, flush: bool = False) -> Line:
+    """Open a line by a URL of pyserial's, 8N1, raw, exclusive.
+
+    Bytes that wait there already stay, unless `flush`. PortNotFoundError,
+    PortDeniedError, PortBusyError, PortError; ValueError for a URL or a baud rate that
+    makes no sense.
+    """
+    if urlsplit(url).scheme.lower() == "socket":
+        return _Descriptor(_connect(url), url)
+    port = _open_serial(url, baudrate, flush=flush)
+    if not _has_descriptor(port):
+        return _Serial(port, url)
+    try:
+        _make_raw(port.fd, url)
+        _claim(port.fd)
+        return _Descriptor(port, url)
+    except (OSError, termios_error) as error:  # it may vanish at any time
+        port.close()
+        raise _open_error(url, baudrate, error) from None
+    except BaseException:
+        port.close()
+        raise
+
+
+def _connect(url: str) -> socket.socket:
+    try:
+        parts = urlsplit(url)
+        host, number = parts.hostname, parts.port
+    except ValueError as error:
+        raise ValueError(f"cannot read {url!r}: {error}; write socket://host:port") from None
+    if not host or number is None:
+        raise ValueError(f"cannot read {url!r}: host or port is missing; write socket://host:port")
+    try:
+        connection = socket.create_connection((host, number), timeout=_CONNECT_PATIENCE)
+    except OSError as error:
+        raise PortNotFoundError(
+            f"nobody answers at {url}: {error.strerror or error}; is the server running?"
+        ) from None
+    connection.setblocking(False)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return connection
+
+
+def _open_serial(url: str, baudrate: int, *, flush: bool) -> Any:
+    import serial  # noqa: PLC0415 - imported where it is used
+
+    try:
+        port: Any = serial.serial_for_url(
+            url, do_not_open=True, baudrate=baudrate, timeout=_LOOK_EVERY, exclusive=True
+        )
+    except ValueError as error:
+        raise ValueError(f"cannot open {url!r} at {baudrate} baud: {error}") from None
+    if not flush:
+        # Opening throws away what waits there; these are what it calls for that.
+        port.reset_input_buffer = port._reset_input_buffer = _nothing
+    try:
+        port.open()
+    except (OSError, ValueError, OverflowError, termios_error) as error:
+        raise _open_error(url, baudrate, error) from None
+    return port
+
+
+def _nothing() -> None:
+    """Leave the bytes that wait where they are."""
+
+
+termios_error: Final[type[Exception]] = termios.error if sys.platform != "win32" else OSError
+
+
+def _open_error(url: str, baudrate: int, error: Exception) -> Exception:
+    """Return the error of this package for one of the system or pyserial."""
+    # Those of termios have their number in front, and nowhere else.
+    number = getattr(error, "errno", None) or next(iter(error.args), None)
+    if number in (errno.EACCES, errno.EPERM):
+        return PortDeniedError(f"{url} may not be opened by this user{_group_hint(url)}")
+    if number in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK):
+        return PortBusyError(f"{url} is open in another program; close it there")
+    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO):
+        return PortNotFoundError(
+            f"there is no port {url}; is the adapter plugged in? 'canser ports' lists what is"
+        )
+    if isinstance(error, (ValueError, OverflowError)):
+        return ValueError(f"cannot open {url!r} at {baudrate} baud: {error}")
+    with contextlib.suppress(OSError):
+        if not stat.S_ISCHR(os.stat(url).st_mode):  # noqa: PTH116
+            return PortError(f"{url} is no serial port; files are read by canser.read")
+    return PortError(f"cannot open {url} at {baudrate} baud: {error}")
+
+
+_GROUP_MAY: Final = stat.S_IRGRP | stat.S_IWGRP
+
+
+def _group_hint(path: str) -> str:
+    """Return what helps a user who may not open a device."""
+    if sys.platform == "win32":
+        return ""
+    try:
+        status = os.stat(path)  # noqa: PTH116
+        name = grp.getgrgid(status.st_gid).gr_name
+    except (OSError, KeyError):
+        return ""
+    if status.st_mode & _GROUP_MAY != _GROUP_MAY:
+        return f": its group {name} may not read and write; 'sudo chmod g+rw {path}'"
+    if status.st_gid in (os.getegid(), *os.getgroups()):
+        return f", though it belongs to the group {name}, and this user does, too"
+    return (
+        f": it belongs to the group {name}, and this user does not; "
+        f"'sudo usermod -aG {name} $USER', then log in anew"
+    )
+
+
+def _has_descriptor(port: Any) -> bool:
+    """Return whether a port reads from a descriptor, and nobody wants to see what."""
+    import serial  # noqa: PLC0415
+
+    return sys.platform != "win32" and type(port).read is serial.Serial.read
+
+
+def _make_raw(fd: int, url: str) -> None:
+    """Set a terminal so that every byte passes as it is, and see that it is so.
+
+    A cooked terminal eats 03, 11 and 13, turns 0D into 0A, and doubles FF.
+    """
+    if sys.platform == "win32":
+        return
+    wanted = termios.tcgetattr(fd)
+    for place, bits in _COOKED.items():
+        wanted[place] &= ~bits
+    wanted[_CFLAG] = wanted[_CFLAG] & ~termios.CSIZE | termios.CS8 | termios.CREAD | termios.CLOCAL
+    # A read of nothing is then told from the end: the one is EAGAIN, the other no bytes.
+    wanted[_CC][termios.VMIN], wanted[_CC][termios.VTIME] = 1, 0
+    termios.tcsetattr(fd, termios.TCSANOW, wanted)
+    found = termios.tcgetattr(fd)
+    for place, bits in _COOKED.items():
+        if found[place] & bits:
+            raise PortError(
+                f"{url} changes bytes on their way (settings {place}: {found[place] & bits:#x} "
+                "stay on): its driver is of no use for binary data"
+            )
+    if found[_OSPEED] != wanted[_OSPEED] or found[_CFLAG] & termios.CSIZE != termios.CS8:
+        raise PortError(f"{url} did not take its speed or 8 data bits: its driver cannot do that")
+
+
+if sys.platform != "win32":
+    _CFLAG, _OSPEED, _CC = 2, 5, 6
+    # By the place in what tcgetattr() gives: input, output, control and local settings.
+    _COOKED: Final = {
+        0: termios.IGNBRK | termios.BRKINT | termios.PARMRK | termios.INPCK | termios.ISTRIP
+        | termios.INLCR | termios.IGNCR | termios.ICRNL | termios.IXON | termios.IXOFF
+        | termios.IXANY,
+        1: termios.OPOST,
+        2: termios.PARENB | termios.CSTOPB | getattr(termios, "CRTSCTS", 0),
+        3: termios.ECHO | termios.ECHONL | termios.ICANON | termios.ISIG | termios.IEXTEN,
+    }  # fmt: skip
+
+
+def _claim(fd: int) -> None:
+    """Keep programs away that do not ask for a lock, as cat does.
+
+    Not on pseudo terminals: there it would outlive a program that is killed.
+    """
+    if sys.platform != "win32":
+        with contextlib.suppress(OSError):
+            if not os.ttyname(fd).startswith("/dev/pts/"):
+                fcntl.ioctl(fd, termios.TIOCEXCL)
+
+
+# A read that gives so much is followed by another, up to so many bytes at a time: they
+# get one time of arrival, and so the sum is small against what anybody can tell apart.
+_MUCH: Final = 4000
+_BURST: Final = 1 << 16
+
+# Behind a read that gave so much there is mostly more by the time of the next: it is not
+# asked for first.
+_SOME: Final = 1024
+
+# A line is dead when the system says one of these.
+_DEAD: Final = {
+    errno.EIO, errno.ENXIO, errno.ENODEV, errno.EPIPE, errno.ECONNRESET, errno.ETIMEDOUT,
+    errno.ECONNABORTED, errno.EBADF, errno.ENOTCONN, errno.ESHUTDOWN, errno.EHOSTUNREACH,
+}  # fmt: skip
+
+
+class _Descriptor:
+    """A line with a descriptor: a terminal, or a connection over TCP."""
+
+    def __init__(self, source: Any, url: str) -> None:
+        self._source, self._url = source, url
+        self._fd: int = source.fileno()
+        self._woken, self._waker = os.pipe()
+        self._busy = False  # the last read gave much
+        # poll() and not select(), which ends at 1023 descriptors.
+        self._readable, self._writable = select.poll(), select.poll()
+        self._readable.register(self._fd, select.POLLIN)
+        self._readable.register(self._woken, select.POLLIN)
+        self._writable.register(self._fd, select.POLLOUT)
+
+    def read_into(self, room: memoryview, timeout: float | None) -> int:
+        # On a busy line there is mostly something: asking first would cost a third more.
+        count = self._read(room) if self._busy else None
+        if count is None:
+            ready = self._readable.poll(None if timeout is None else max(timeout, 0) * 1000)
+            if any(fd == self._woken for fd, _ in ready):
+                os.read(self._woken, 64)
+            elif ready:
+                count = self._read(room)
+        if not count:
+            return 0
+        # A terminal gives 4 KB at most: where there was as much, there is more.
+        more, end = count, min(len(room), _BURST)
+        while more >= _MUCH and count < end:
+            try:
+                more = self._read(room[count:]) or 0
+            except (PortGoneError, OSError):
+                break  # it will come again, when these bytes are safe
+            count += more
+        self._busy = count >= _SOME
+        return count
+
+    def _read(self, room: memoryview) -> int | None:
+        """Read what is there; None where nothing is."""
+        try:
+            count = os.readv(self._fd, [room])
+        except BlockingIOError:
+            return None
+        except OSError as error:
+            raise self._gone(error) from None
+        if not count:
+            raise self._gone(None)
+        return count
+
+    def write(self, data: memoryview, timeout: float | None) -> int:
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            try:
+                return os.write(self._fd, data)
+            except BlockingIOError:
+                pass
+            except OSError as error:
+                raise self._gone(error) from None
+            left = None if deadline is None else max(deadline - time.monotonic(), 0) * 1000
+            ready = self._writable.poll(left)
+            if not ready:
+                return 0
+            if ready[0][1] & (select.POLLHUP | select.POLLNVAL):
+                raise self._gone(None)
+
+    def unwritten(self) -> int:
+        try:
+            held = fcntl.ioctl(self._fd, termios.TIOCOUTQ, bytes(4))
+        except OSError as error:
+            raise self._gone(error) from None
+        return int.from_bytes(held, sys.byteorder)
+
+    def wake(self) -> None:
+        os.write(self._waker, b"\0")
+
+    def close(self) -> None:
+        self._source.close()
+        os.close(self._woken)
+        os.close(self._waker)
+
+    def _gone(self, error: OSError | None) -> Exception:
+        if error is not None and error.errno not in _DEAD:
+            return error
+        return _gone(self._url)
+
+
+class _Serial:
+    """A line that only pyserial can read: rfc2217://, loop://, or the ports of Windows."""
+
+    def __init__(self, port: Any, url: str) -> None:
+        self._port, self._url = port, url
+        self._awake = False
+
+    def read_into(self, room: memoryview, timeout: float | None) -> int:
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while not self._awake:
+            try:
+                # What is there, or the first byte that comes within _LOOK_EVERY.
+                data = self._port.read(max(1, min(self._port.in_waiting, len(room))))
+            except (OSError, TypeError) as error:  # TypeError: closed meanwhile
+                data = _left_behind(self._port, len(room))
+                if not data:
+                    raise _gone(self._url) from error
+            if data:
+                room[: len(data)] = data
+                return len(data)
+            if deadline is not None and time.monotonic() >= deadline:
+                break
+        self._awake = False
+        return 0
+
+    def write(self, data: memoryview, timeout: float | None) -> int:  # noqa: ARG002 - see below
+        # Not every kind of port has a time-out for writing; pieces keep a call short.
+        piece = bytes(data[:4096])
+        try:
+            written = self._port.write(piece)
+        except (OSError, TypeError) as error:
+            raise _gone(self._url) from error
+        return len(piece) if written is None else int(written)
+
+    def unwritten(self) -> int:
+        return int(getattr(self._port, "out_waiting", 0))
+
+    def wake(self) -> None:
+        self._awake = True
+
+    def close(self) -> None:
+        self._port.close()
+
+
+def _left_behind(port: Any, most: int) -> bytes:
+    """Return what pyserial's rfc2217:// has read before the line was gone, and gives no more."""
+    queue: Any = getattr(port, "_read_buffer", None)
+    if not hasattr(queue, "get_nowait"):
+        return b""
+    left = bytearray()
+    while len(left) < most and not queue.empty():
+        left += queue.get_nowait() or b""  # None marks the end
+    return bytes(left)
+
+
+def _gone(url: str) -> PortGoneError:
+    return PortGoneError(f"{url} is gone: unplugged, or closed at its other end")

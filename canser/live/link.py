@@ -1,0 +1,247 @@
+"""A line with its thread: drained into a ring, written in whole packets, opened anew."""
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Final
+
+from canser.errors import CanserError, PortGoneError
+from canser.live.line import Line
+from canser.live.ring import Ring, holds
+
+__all__ = ["NO_MORE", "Link"]
+
+# Where bytes go while the ring is full, to be counted.
+_SCRATCH: Final = 1 << 16
+
+# Frames that come one by one would wake the thread for each: after a read that gave less than a
+# terminal holds it rests, and times may be late by as much, in seconds. A line that is busy nearly
+# all the time bears a longer rest, for there bytes are timed by the bit rate: by at most a fifth
+# of it they are late. At 2 Mbaud 2,400 bytes come meanwhile, three fifths of what a terminal holds.
+_REST: Final = 0.001
+_REST_BUSY: Final = 0.012
+_BUSY: Final = 0.8
+_SMALL: Final = 4000
+
+# How busy a line is, is told from so many seconds: many rests.
+_WINDOW: Final = 0.1
+
+# Seconds between two tries to open a line anew: the first one, and at most.
+_RETRY: Final = (0.05, 1.0)
+
+NO_MORE: Final = "the line took no more within the time-out"
+
+# A writer holds the line for so many seconds at a time, so that it can be closed.
+_HOLD: Final = 0.05
+
+
+class Link:
+    """An open line, and a thread that drains it into a ring as fast as bytes come.
+
+    `connect` opens the line and makes the device ready; it is called here, and again after
+    the line is gone if `reconnect`. `byte_s`: seconds that a byte takes on the line. `beat`,
+    bytes, is sent every `beat_s` seconds. `clock` gives epoch nanoseconds. Raises what
+    `connect` raises.
+    """
+
+    def __init__(
+        self,
+        connect: Callable[[], Line],
+        ring: Ring,
+        clock: Callable[[], int],
+        *,
+        byte_s: float,
+        reconnect: bool,
+        beat: bytes,
+        beat_s: float,
+    ) -> None:
+        self._connect, self._ring, self._clock = connect, ring, clock
+        self._byte_s = byte_s
+        self._reconnect, self._beat, self._beat_s = reconnect, beat, beat_s
+        self.last_beat = 0  # when the last one went out on this line; 0: not yet
+        self._line: Line | None = connect()  # None while it is away
+        # For who writes, and who changes the line. Reentrant, as a signal handler may close
+        # the port in the middle of a write.
+        self._line_lock = threading.Condition()
+        self._writing = threading.Lock()
+        self._rest = memoryview(b"")  # of a packet whose start went out
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="canser link", daemon=True)
+        self._thread.start()
+
+    def write(
+        self, data: bytes, timeout: float | None, lacks: Callable[[int], int]
+    ) -> tuple[int, str]:
+        """Write bytes behind what is left of an earlier packet.
+
+        `lacks`: how many bytes a packet lacks that is cut behind so many bytes of `data`.
+        They go out before anything else, unless the line is gone.
+
+        Returns how many bytes of `data` went out or will, and why not all did ("" if all did).
+        """
+        deadline = None if timeout is None else time.monotonic() + timeout
+        view, written, why = memoryview(data), 0, ""
+        if not self._writing.acquire(timeout=-1 if timeout is None else max(timeout, 0)):
+            return 0, NO_MORE
+        try:
+            while self._rest and not why:
+                count, why = self._write_some(self._rest, deadline)
+                self._rest = self._rest[count:]
+            try:
+                while written < len(view) and not why:
+                    count, why = self._write_some(view[written:], deadline)
+                    written += count
+            finally:  # whatever ends it, an interrupt too
+                if 0 < written < len(view) and why in ("", NO_MORE):
+                    self._rest = view[written : written + lacks(written)]
+                    written += len(self._rest)
+        finally:
+            self._writing.release()
+        return written, why
+
+    def unwritten(self) -> int:
+        """Return how many written bytes the system still holds; PortGoneError without a line."""
+        with self._line_lock:
+            if self._line is None:
+                raise PortGoneError(self._why_no_line())
+            return self._line.unwritten()
+
+    def close(self) -> None:
+        """End the thread, close the line, and release the ring.
+
+        The thread does so where this one must not wait for it: in a signal handler that
+        came while a lock was held, and where the thread itself has collected the port.
+        """
+        self._closing.set()
+        must_not_wait = (
+            self._thread is threading.current_thread()
+            or holds(self._line_lock)
+            or self._ring.locked_here
+        )
+        with self._line_lock:
+            if self._line is not None:
+                self._line.wake()
+        if self._thread.is_alive() and must_not_wait:
+            return
+        self._thread.join()
+        self._finish()
+
+    def _finish(self) -> None:
+        with self._line_lock:
+            line, self._line = self._line, None
+        if line is not None:
+            line.close()
+        self._ring.release()
+
+    def _write_some(self, data: memoryview, deadline: float | None) -> tuple[int, str]:
+        left = _HOLD if deadline is None else min(deadline - time.monotonic(), _HOLD)
+        if self._closing.is_set():  # asked before the lock, which whoever closes waits for
+            return 0, self._why_no_line()
+        with self._line_lock:
+            if self._line is None:
+                return 0, self._why_no_line()
+            try:
+                count = self._line.write(data, max(left, 0))
+            except (CanserError, OSError) as error:
+                return 0, str(error)
+        if not count and left < _HOLD:
+            return 0, NO_MORE
+        return count, ""
+
+    def _why_no_line(self) -> str:
+        return "the port is closed" if self._closing.is_set() else "the device is gone"
+
+    def _run(self) -> None:
+        try:
+            self._keep_draining()
+        except Exception as error:  # noqa: BLE001 - whoever reads would wait for ever
+            self._ring.close(error)
+        finally:
+            if self._closing.is_set():
+                self._finish()
+
+    def _keep_draining(self) -> None:
+        while not self._closing.is_set():
+            line = self._line
+            assert line is not None
+            try:
+                self._drain(line)
+            except (CanserError, OSError) as error:
+                with self._line_lock:
+                    self._line = None
+                line.close()
+                if not self._reconnect or not isinstance(error, PortGoneError):
+                    self._ring.close(error)
+                    return
+                self.last_beat = 0
+                self._ring.interrupt(self._clock(), "reconnect")
+                self._come_back()
+
+    def _drain(self, line: Line) -> None:
+        """Read until the line is gone or shall be closed."""
+        ring, clock, closing = self._ring, self._clock, self._closing
+        scratch = memoryview(bytearray(_SCRATCH))
+        begin = due = time.monotonic()
+        came, rest = 0, _REST
+        while not closing.is_set():
+            timeout = None
+            if self._beat:
+                now = time.monotonic()
+                if now >= due:
+                    self._send_beat(line)
+                    due = max(due + self._beat_s, now)
+                timeout = max(due - now, 0)
+            room = ring.room()
+            count = line.read_into(scratch if room is None else room, timeout)
+            if not count:
+                continue
+            if room is None:
+                self._keep(scratch[:count])
+            else:
+                ring.put(count, clock())
+            came += count
+            if rest and count < _SMALL:
+                time.sleep(rest)
+            if (now := time.monotonic()) - begin > _WINDOW:
+                busy = came * self._byte_s / (now - begin)
+                # Faster than its bits are lines that have none, such as pseudo terminals.
+                rest = 0.0 if busy > 1.5 else _REST_BUSY if busy > _BUSY else _REST
+                begin, came = now, 0
+
+    def _keep(self, data: memoryview) -> None:
+        """Put bytes that came while the ring was full where there is room by now."""
+        while data and (room := self._ring.room()) is not None:
+            count = min(len(data), len(room))
+            room[:count] = data[:count]
+            self._ring.put(count, self._clock())
+            data = data[count:]
+        if data:
+            self._ring.lose(len(data), self._clock())
+
+    def _send_beat(self, line: Line) -> None:
+        # Never into the middle of a packet: then the next one will do.
+        if self._writing.acquire(blocking=False):
+            try:
+                if not self._rest and (sent := line.write(memoryview(self._beat), 0)):
+                    self._rest = memoryview(self._beat)[sent:]
+                    self.last_beat = self._clock()
+            finally:
+                self._writing.release()
+
+    def _come_back(self) -> None:
+        """Open the line anew, whenever that is possible."""
+        pause, longest = _RETRY
+        while not self._closing.wait(pause):
+            # Whoever writes has to leave first: no packet may go on on another line.
+            if not self._writing.acquire(blocking=False):
+                continue
+            self._rest = memoryview(b"")
+            self._writing.release()
+            try:
+                line = self._connect()
+            except (CanserError, OSError):
+                pause = min(pause * 2, longest)
+                continue
+            with self._line_lock:
+                self._line = line
+            return

@@ -1,0 +1,237 @@
+"""A bounded ring of bytes between a port and who decodes them, with the times of arrival."""
+
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+__all__ = ["Gap", "Piece", "Ring", "holds"]
+
+
+class Gap(NamedTuple):
+    """A place in a stream where bytes are missing."""
+
+    offset: int  # stream offset of the first byte behind it
+    lost: int  # bytes that are missing; -1 where nobody knows
+    ts: int  # epoch nanoseconds at which it began
+    reason: str  # "overflow", "reconnect" or "watchdog"
+
+
+class Piece(NamedTuple):
+    """The bytes of one read of the port."""
+
+    begin: int  # stream offset of the first of them
+    end: int  # stream offset behind the last
+    ns: int  # epoch nanoseconds at which they had arrived
+
+
+# A ring that was full takes bytes again when so much of it is free: one long gap
+# instead of many short ones, each of which costs the frames at its edges.
+_FREE_AGAIN: Final = 1 / 16
+
+
+def holds(lock: threading.Condition) -> bool:
+    """Return whether this thread holds the lock of a condition."""
+    try:
+        lock.notify(0)
+    except RuntimeError:
+        return False
+    return True
+
+
+class Ring:
+    """Bytes that have come and are not decoded yet. One thread fills it, one empties it.
+
+    What comes while it is full is thrown away, counted, and marked by a `Gap`. Offsets
+    count the bytes that are kept, from 0.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._bytes = memoryview(bytearray(size))
+        self._size = size
+        self._begin = 0  # offset of the oldest byte
+        self._end = 0  # offset behind the newest
+        self._pieces: deque[Piece] = deque()  # not handed out yet
+        self._gaps: deque[Gap] = deque()  # ahead of who empties it
+        self._full = False
+        self._error: Exception | None = None
+        # Reentrant: a signal handler, or the end of a port that nobody holds, may come at any
+        # place of any thread, and close it.
+        self._lock = threading.RLock()
+        self._came = threading.Condition(self._lock)
+        self._wanted = 1  # unread bytes at which a waiting thread is woken
+        self._listener: Callable[[], None] | None = None
+        self._signal: tuple[int, int] | None = None  # a pipe that is readable while `_loud`
+        self._loud = self._held = False
+        self.lost = 0  # bytes thrown away
+
+    # Of the thread that fills it.
+
+    def room(self) -> memoryview | None:
+        """Return where the next bytes may be put; None while the ring is full."""
+        with self._lock:
+            free = self._size - (self._end - self._begin)
+            if self._full and free < self._size * _FREE_AGAIN:
+                return None
+            self._full = free == 0
+            if self._full:
+                return None
+            at = self._end % self._size
+            return self._bytes[at : at + min(free, self._size - at)]
+
+    def put(self, count: int, ns: int) -> None:
+        """Take notice of bytes that were put there, and had arrived by `ns`."""
+        with self._lock:
+            self._pieces.append(Piece(self._end, self._end + count, ns))
+            self._end += count
+            self._set_signal()
+            if self._end - self._begin >= self._wanted:
+                self._tell()
+
+    def lose(self, count: int, ns: int) -> None:
+        """Count bytes that came while the ring was full."""
+        with self._lock:
+            self.lost += count
+            last = self._gaps[-1] if self._gaps else None
+            if last is not None and last.offset == self._end and last.reason == "overflow":
+                self._gaps[-1] = last._replace(lost=last.lost + count)
+            else:
+                self._gaps.append(Gap(self._end, count, ns, "overflow"))
+                self._set_signal()
+                self._tell()
+
+    def interrupt(self, ns: int, reason: str) -> None:
+        """Mark a gap of unknown length."""
+        with self._lock:
+            self._gaps.append(Gap(self._end, -1, ns, reason))
+            self._set_signal()
+            self._tell()
+
+    def close(self, error: Exception) -> None:
+        """End the stream: behind what is there comes nothing but `error`."""
+        with self._lock:
+            if self._error is None:
+                self._error = error
+            self._set_signal()
+            self._tell()
+
+    def _tell(self) -> None:
+        self._came.notify_all()
+        if self._listener is not None:
+            listener, self._listener = self._listener, None
+            listener()
+
+    def _set_signal(self) -> None:
+        """Make the descriptor readable if there is anything to take, and else not."""
+        if self._signal is None:
+            return
+        loud = self._held or self._begin < self._end or bool(self._gaps or self._error)
+        if loud and not self._loud:
+            os.write(self._signal[1], b"\0")
+        elif self._loud and not loud:
+            os.read(self._signal[0], 1)
+        self._loud = loud
+
+    # Of the thread that empties it.
+
+    def wait(self, wanted: int, deadline: float | None) -> bool:
+        """Wait until `wanted` bytes or a gap are there, or the end; False after the deadline.
+
+        `deadline`: of time.monotonic(), None for never.
+        """
+        with self._lock:
+            self._wanted = min(wanted, self._size // 2)
+            while not self._ready():
+                left = None if deadline is None else deadline - time.monotonic()
+                if left is not None and left <= 0:
+                    return False
+                self._came.wait(left)
+            return True
+
+    def listen(self, wanted: int, listener: Callable[[], None] | None) -> None:
+        """Have `listener` called once, by any thread, when `wait` would not wait."""
+        with self._lock:
+            self._wanted = min(wanted, self._size // 2)
+            self._listener = listener
+            if listener is not None and self._ready():
+                self._tell()
+
+    def _ready(self) -> bool:
+        return (
+            self._end - self._begin >= self._wanted or bool(self._gaps) or self._error is not None
+        )
+
+    def peek(self) -> tuple[memoryview, list[Piece]]:
+        """Return bytes in one piece of memory, up to a gap, and the pieces not seen before."""
+        with self._lock:
+            end = self._gaps[0].offset if self._gaps else self._end
+            at = self._begin % self._size
+            count = min(end - self._begin, self._size - at)
+            pieces = []
+            while self._pieces and self._pieces[0].end <= self._begin + count:
+                pieces.append(self._pieces.popleft())
+            return self._bytes[at : at + count], pieces
+
+    def took(self, offset: int) -> None:
+        """Give the memory of the bytes before this offset back."""
+        with self._lock:
+            self._begin = offset
+            self._set_signal()
+
+    @property
+    def at_gap(self) -> bool:
+        """Whether a gap lies right here."""
+        with self._lock:
+            return bool(self._gaps) and self._gaps[0].offset == self._begin
+
+    def take_gap(self) -> Gap | None:
+        """Return the gap that lies right here, None if there is none."""
+        with self._lock:
+            if self._gaps and self._gaps[0].offset == self._begin:
+                gap = self._gaps.popleft()
+                self._set_signal()
+                return gap
+            return None
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable while there is anything to take."""
+        with self._lock:
+            if self._signal is None:
+                self._signal = os.pipe()
+                self._set_signal()
+            return self._signal[0]
+
+    def hold_ready(self, held: bool) -> None:
+        """Keep that descriptor readable, for one who holds frames that he took."""
+        with self._lock:
+            self._held = held
+            self._set_signal()
+
+    @property
+    def locked_here(self) -> bool:
+        """Whether this thread is in the middle of something here, which a signal interrupted."""
+        return holds(self._came)
+
+    def release(self) -> None:
+        """Close that descriptor, if there is one."""
+        with self._lock:
+            if self._signal is not None:
+                os.close(self._signal[0])
+                os.close(self._signal[1])
+                self._signal = None
+
+    def __len__(self) -> int:
+        return self._end - self._begin
+
+    @property
+    def fill(self) -> float:
+        """How full it is, 0 to 1."""
+        return len(self) / self._size
+
+    @property
+    def error(self) -> Exception | None:
+        """What has ended the stream, once all before it is taken."""
+        with self._lock:
+            return self._error if self._begin == self._end and not self._gaps else None

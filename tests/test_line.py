@@ -1,0 +1,399 @@
+"""Lines of every kind: all bytes pass both ways, nothing is eaten, changed or flushed."""
+
+import contextlib
+import os
+import resource
+import socket
+import subprocess
+import sys
+import termios
+import threading
+from collections.abc import Iterator
+from typing import Any, Self
+
+import pytest
+import serial
+import serial.rfc2217
+
+from canser.errors import PortBusyError, PortError, PortGoneError, PortNotFoundError
+from canser.live.line import Line, open_line
+from device import PATIENCE, Device, descriptors, until
+
+EVERY_BYTE = bytes(range(256)) + bytes(reversed(range(256)))
+
+
+def read(line: Line, count: int) -> bytes:
+    """Read so many bytes."""
+    data = b""
+    room = memoryview(bytearray(4096))
+    while len(data) < count:
+        got = line.read_into(room[: count - len(data)], PATIENCE)
+        assert got, f"{len(data)} bytes came, {count} should"
+        data += room[:got]
+    return data
+
+
+def write(line: Line, data: bytes) -> None:
+    view = memoryview(data)
+    while view:
+        count = line.write(view, PATIENCE)
+        assert count
+        view = view[count:]
+
+
+@contextlib.contextmanager
+def opened(url: str, **options: Any) -> Iterator[Line]:
+    line = open_line(url, 115_200, **options)
+    try:
+        yield line
+    finally:
+        line.close()
+
+
+class Server:
+    """A server of one client. What it hears is in `heard`; it says what it is told to."""
+
+    def __init__(self) -> None:
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listening.getsockname()[1]
+        self.heard = bytearray()
+        self.here = threading.Event()  # a client is
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        return f"socket://127.0.0.1:{self.port}"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.hang_up()
+        self._listening.close()
+
+    def say(self, data: bytes) -> None:
+        assert self.here.wait(PATIENCE)
+        self._client.sendall(data)
+
+    def hang_up(self) -> None:
+        if self.here.is_set():
+            with contextlib.suppress(OSError):
+                self._client.shutdown(socket.SHUT_RDWR)
+        else:
+            with contextlib.suppress(OSError):
+                self._listening.shutdown(socket.SHUT_RDWR)
+        self._thread.join(PATIENCE)
+        assert not self._thread.is_alive()
+
+    def _serve(self) -> None:
+        with contextlib.suppress(OSError):
+            self._client = self._listening.accept()[0]
+            with self._client:
+                self.start()
+                self.here.set()
+                while data := self._client.recv(4096):
+                    self.hear(data)
+
+    def start(self) -> None:
+        """Get ready for the client."""
+
+    def hear(self, data: bytes) -> None:
+        self.heard += data
+
+
+class TelnetServer(Server):
+    """A server of RFC 2217, with a port that is a pseudo terminal."""
+
+    @property
+    def url(self) -> str:
+        return f"rfc2217://127.0.0.1:{self.port}"
+
+    def start(self) -> None:
+        self._lock = threading.Lock()
+        port: Any = serial.serial_for_url("loop://")
+        connection: Any = self
+        self.manager = serial.rfc2217.PortManager(port, connection)
+
+    def write(self, data: bytes) -> None:
+        """Send what the manager wants to tell the client."""
+        with self._lock:
+            self._client.sendall(data)
+
+    def say(self, data: bytes) -> None:
+        assert self.here.wait(PATIENCE)
+        self.write(b"".join(self.manager.escape(data)))
+
+    def hear(self, data: bytes) -> None:
+        self.heard += b"".join(self.manager.filter(data))
+
+
+def test_a_pseudo_terminal_passes_every_byte() -> None:
+    with Device() as device, opened(device.url) as line:
+        device.feed(EVERY_BYTE)
+        assert read(line, len(EVERY_BYTE)) == EVERY_BYTE
+        write(line, EVERY_BYTE)
+        assert device.read(len(EVERY_BYTE)) == EVERY_BYTE
+
+
+def test_a_cooked_terminal_is_made_raw() -> None:
+    with Device(cooked=True) as device, opened(device.url) as line:
+        device.feed(EVERY_BYTE)
+        assert read(line, len(EVERY_BYTE)) == EVERY_BYTE
+        assert not device.hears(), "it echoes"
+        write(line, EVERY_BYTE)
+        assert device.read(len(EVERY_BYTE)) == EVERY_BYTE
+
+
+def test_every_setting_that_changes_bytes_is_taken_back() -> None:
+    with Device() as device:
+        bad = termios.tcgetattr(device.slave)
+        bad[0] |= termios.PARMRK | termios.INPCK | termios.ISTRIP | termios.IXOFF | termios.INLCR
+        bad[1] |= termios.OPOST
+        bad[2] = bad[2] & ~termios.CSIZE | termios.CS7 | termios.PARENB
+        termios.tcsetattr(device.slave, termios.TCSANOW, bad)
+        with opened(device.url) as line:
+            device.feed(EVERY_BYTE)
+            assert read(line, len(EVERY_BYTE)) == EVERY_BYTE
+
+
+def test_a_driver_that_keeps_changing_bytes_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(termios, "tcsetattr", lambda *_: None)
+    with (
+        Device(cooked=True) as device,
+        pytest.raises(PortError, match=f"{device.url} changes bytes on their way"),
+    ):
+        open_line(device.url, 115_200)
+
+
+def test_a_socket_passes_every_byte() -> None:
+    with Server() as server, opened(server.url) as line:
+        server.say(EVERY_BYTE)
+        assert read(line, len(EVERY_BYTE)) == EVERY_BYTE
+        write(line, EVERY_BYTE)
+        until(lambda: bytes(server.heard) == EVERY_BYTE)
+
+
+# pyserial's own.
+old_threads = pytest.mark.filterwarnings(
+    "ignore:setDaemon:DeprecationWarning", "ignore:setName:DeprecationWarning"
+)
+
+
+@old_threads
+def test_rfc2217_passes_every_byte() -> None:
+    with TelnetServer() as server, opened(server.url) as line:
+        server.say(EVERY_BYTE)
+        assert read(line, len(EVERY_BYTE)) == EVERY_BYTE
+        write(line, EVERY_BYTE)
+        until(lambda: bytes(server.heard) == EVERY_BYTE)
+        assert line.unwritten() == 0
+
+
+@old_threads
+def test_rfc2217_that_hangs_up_is_gone_after_its_last_byte() -> None:
+    with TelnetServer() as server, opened(server.url) as line:
+        server.say(EVERY_BYTE)
+        server.hang_up()
+        assert read(line, len(EVERY_BYTE)) == EVERY_BYTE
+        with pytest.raises(PortGoneError, match="is gone"):
+            line.read_into(memoryview(bytearray(10)), PATIENCE)
+
+
+def test_loop_passes_every_byte() -> None:
+    with opened("loop://") as line:
+        write(line, EVERY_BYTE)
+        assert read(line, len(EVERY_BYTE)) == EVERY_BYTE
+
+
+def test_a_read_gives_what_is_there_not_one_byte() -> None:
+    """On socket:// pyserial's in_waiting would make it one byte a call."""
+    room = memoryview(bytearray(4096))
+    with Server() as server, opened(server.url) as line:
+        server.say(EVERY_BYTE)
+        assert line.read_into(room, PATIENCE) == len(EVERY_BYTE)
+    with opened("loop://") as line:
+        write(line, EVERY_BYTE)
+        assert line.read_into(room, PATIENCE) == len(EVERY_BYTE)
+
+
+def test_bytes_that_wait_already_stay() -> None:
+    with Device() as device:
+        device.feed(b"early")
+        device.fed()
+        with opened(device.url) as line:
+            device.feed(b" late")
+            assert read(line, 10) == b"early late"
+
+
+def test_bytes_that_wait_already_go_if_asked() -> None:
+    with Device() as device:
+        device.feed(b"early")
+        device.fed()
+        until(device.waiting)
+        with opened(device.url, flush=True) as line:
+            assert not device.waiting()
+            device.feed(b"late")
+            assert read(line, 4) == b"late"
+
+
+def test_a_read_ends_after_its_timeout() -> None:
+    room = memoryview(bytearray(10))
+    with Device() as device, opened(device.url) as line:
+        assert line.read_into(room, 0) == 0
+        assert line.read_into(room, 0.001) == 0
+    with opened("loop://") as line:
+        assert line.read_into(room, 0.001) == 0
+
+
+@pytest.mark.parametrize("kind", ["pty", "loop"])
+def test_a_read_ends_when_it_is_woken(kind: str) -> None:
+    with Device() as device, opened(device.url if kind == "pty" else "loop://") as line:
+        counts: list[int] = []
+
+        def wait() -> None:
+            counts.append(line.read_into(memoryview(bytearray(10)), None))
+
+        reader = threading.Thread(target=wait, daemon=True)
+        reader.start()
+        line.wake()
+        reader.join(PATIENCE)
+        assert counts == [0]
+
+
+def test_a_write_ends_after_its_timeout() -> None:
+    with Device() as device, opened(device.url) as line:
+        while line.write(memoryview(bytes(4096)), 0.02):
+            pass
+        assert device.read(100) == bytes(100)
+
+
+def test_what_the_system_still_holds_is_told() -> None:
+    with Server() as server, opened(server.url) as line:
+        write(line, EVERY_BYTE)
+        until(lambda: line.unwritten() == 0)
+    with Device() as device, opened(device.url) as line:
+        assert line.unwritten() == 0
+
+
+@pytest.fixture
+def many_descriptors() -> Iterator[None]:
+    """Leave no descriptor under 1024 free."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard != resource.RLIM_INFINITY and hard < 2048:
+        pytest.skip(f"this user may open {hard} files only")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2048), hard))
+    taken = [os.open(os.devnull, os.O_RDONLY)]
+    while taken[-1] < 1100:
+        taken.append(os.dup(taken[0]))
+    try:
+        yield
+    finally:
+        for fd in taken:
+            os.close(fd)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+@pytest.mark.usefixtures("many_descriptors")
+@pytest.mark.parametrize("kind", ["pty", "socket"])
+def test_descriptors_above_1024_will_do(kind: str) -> None:
+    with (
+        Device() as device,
+        Server() as server,
+        opened(device.url if kind == "pty" else server.url) as line,
+    ):
+        if kind == "pty":
+            device.feed(EVERY_BYTE)
+        else:
+            server.say(EVERY_BYTE)
+        assert read(line, len(EVERY_BYTE)) == EVERY_BYTE
+        assert line.read_into(memoryview(bytearray(10)), 0.001) == 0
+        write(line, EVERY_BYTE)
+        if kind == "pty":
+            assert device.read(len(EVERY_BYTE)) == EVERY_BYTE
+            while line.write(memoryview(bytes(4096)), 0.02):  # until it has to wait
+                pass
+
+
+def test_a_second_open_is_refused_and_harms_nothing() -> None:
+    with Device() as device, opened(device.url) as line:
+        device.feed(b"first's")
+        device.fed()
+        with pytest.raises(PortBusyError, match="open in another program; close it there"):
+            open_line(device.url, 9600)
+        assert read(line, 7) == b"first's"
+    with Device() as device:
+        open_line(device.url, 115_200).close()
+        open_line(device.url, 115_200).close()
+
+
+@pytest.mark.parametrize(
+    ("url", "error", "message"),
+    [
+        ("/dev/no-such-port", PortNotFoundError, "there is no port /dev/no-such-port"),
+        ("/etc/hostname", PortError, "no serial port; files are read by canser.read"),
+        ("/", PortError, "/ is no serial port"),
+        ("socket://127.0.0.1:1", PortNotFoundError, "nobody answers at socket://127.0.0.1:1"),
+        ("socket://127.0.0.1", ValueError, "host or port is missing; write socket://host:port"),
+        ("socket://:5000", ValueError, "host or port is missing"),
+        ("socket://host:port", ValueError, "write socket://host:port"),
+        ("socket://host:99999", ValueError, "write socket://host:port"),
+        ("rfc2217://127.0.0.1:1", PortError, "cannot open rfc2217://127.0.0.1:1"),
+        ("nonsense://", ValueError, "cannot open 'nonsense://'"),
+        ("", PortError, "''|no port"),
+    ],
+)
+def test_what_cannot_be_opened(url: str, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message) as caught:
+        open_line(url, 115_200)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_rate_that_makes_no_sense() -> None:
+    with Device() as device, pytest.raises(ValueError, match="baud"):
+        open_line(device.url, 2**40)
+
+
+def test_a_port_that_vanishes_while_it_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The module termios has an error of its own, which is no OSError."""
+
+    def vanish(*_: object) -> None:
+        raise termios.error(5, "Input/output error")
+
+    with Device() as device:
+        before = descriptors()
+        monkeypatch.setattr("canser.live.line._make_raw", vanish)
+        with pytest.raises(PortNotFoundError, match=f"there is no port {device.url}"):
+            open_line(device.url, 115_200)
+        assert descriptors() == before
+
+
+def test_a_program_that_is_killed_leaves_the_port_free() -> None:
+    program = (
+        "import sys; from canser.live.line import open_line\n"
+        "line = open_line(sys.argv[1], 115200); print('open', flush=True)\n"
+        "line.read_into(memoryview(bytearray(10)), None)"
+    )
+    with Device() as device:
+        with subprocess.Popen(
+            [sys.executable, "-c", program, device.url], stdout=subprocess.PIPE
+        ) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"open\n"
+            with pytest.raises(PortBusyError):
+                open_line(device.url, 115_200)
+            process.kill()
+        with opened(device.url) as line:
+            device.feed(b"on")
+            assert read(line, 2) == b"on"
+
+
+def test_the_module_can_be_imported_without_termios() -> None:
+    """As on Windows, where neither it nor fcntl, grp and poll() are there."""
+    program = (
+        "import sys; import numpy, cffi, select; sys.platform = 'win32'\n"
+        "for name in ('termios', 'fcntl', 'grp', 'pty', 'tty'): sys.modules[name] = None\n"
+        "del select.poll\n"
+        "from canser.live import line, link, ports, ring, stream"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
