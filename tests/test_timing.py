@@ -1,0 +1,479 @@
+"""Host times of frames, against simulated lines, hosts and device clocks whose truth is known."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import canser
+from canser.frames import FRAME_DTYPE, FrameArray
+from canser.live.timing import ClockEstimate, Stamper
+
+Times = npt.NDArray[np.int64]
+
+US, MS, S = 1_000, 1_000_000, 1_000_000_000
+TICK = {"s": S, "ms": MS, "us": US}
+EPOCH = 1_790_000_000 * S  # a float64 could not tell apart nanoseconds here
+BYTE_NS = 1e10 / 115_200
+FRAME_MAX = 19
+
+
+@dataclass
+class Stream:
+    """What an adapter sent and what came of it."""
+
+    truth: Times  # when each frame was on the bus
+    offsets: Times  # where it begins in the stream
+    end: int
+    done: Times  # when its last byte had come over the line
+    read: Times  # when the host had read that byte
+    pieces: list[tuple[int, int]]
+
+
+def bus(seed: int, seconds: float, rate: float) -> Times:
+    """Return random times of frames on a bus."""
+    steps = np.random.default_rng(seed).exponential(S / rate, round(seconds * rate))
+    return EPOCH + np.cumsum(steps.astype(np.int64) + 1)
+
+
+def send(
+    truth: Times,
+    *,
+    seed: int = 1,
+    byte_ns: float = BYTE_NS,
+    latency: int = 16 * MS,
+    stalls: tuple[tuple[int, int], ...] = (),
+) -> Stream:
+    """Send frames of 13 to 19 bytes over a line, a USB chip and a busy host.
+
+    The chip passes bytes on every `latency`; the host reads at most 4095 of them, 0.2 ms late
+    on average, now and then 100 ms, and not at all in `stalls` (from, for how long).
+    """
+    rng = np.random.default_rng(seed)
+    sizes = rng.integers(11, FRAME_MAX + 1, len(truth))
+    offsets = np.cumsum(sizes) - sizes
+    # A frame goes out when it was received and the one before is out.
+    busy = (offsets * byte_ns).astype(np.int64)
+    begun = np.maximum.accumulate(truth - busy) + busy
+    within = np.arange(sizes.sum()) - np.repeat(offsets, sizes)
+    came = np.repeat(begun, sizes) + ((within + 1) * byte_ns).astype(np.int64)
+    passed = -(-came // latency) * latency
+
+    reads = np.unique(passed)
+    late = rng.exponential(MS / 5, len(reads)) + 100 * MS * (rng.random(len(reads)) < 1e-3)
+    reads += late.astype(np.int64)
+    for start, length in stalls:
+        asleep = (reads >= EPOCH + start) & (reads < EPOCH + start + length)
+        reads[asleep] = EPOCH + start + length
+    reads = np.maximum.accumulate(reads)
+    ends = np.searchsorted(passed, reads, side="right")
+    pieces: list[tuple[int, int]] = []
+    for end, ns in zip(ends.tolist(), reads.tolist(), strict=True):
+        begin = pieces[-1][0] if pieces else 0
+        pieces += [(part, ns) for part in (*range(begin + 4095, end, 4095), end) if part > begin]
+
+    last = offsets + sizes - 1
+    piece = np.searchsorted([end for end, _ in pieces], last + 1)
+    read = np.array([ns for _, ns in pieces])[piece]
+    return Stream(truth, offsets, int(sizes.sum()), came[last], read, pieces)
+
+
+def ticks(truth: Times, unit: str = "ms", ppm: float = 0, zero: int = EPOCH - 77 * S) -> Times:
+    """Return what a device's clock says that is `ppm` fast and was 0 at `zero`."""
+    elapsed = truth - zero
+    elapsed = elapsed + (elapsed * (ppm * 1e-6)).astype(np.int64)
+    return elapsed // TICK[unit] * TICK[unit]
+
+
+def feed(
+    stamper: Stamper, stream: Stream, device: Times | None = None, batch: int = 4096
+) -> Iterator[FrameArray]:
+    """Stamp a stream, each batch as soon as its bytes have arrived."""
+    pieces = iter(stream.pieces)
+    arrived = 0
+    for start in range(0, len(stream.offsets), batch):
+        part = stream.offsets[start : start + batch]
+        rest = stream.offsets[start + batch :]
+        end = int(rest[0]) if len(rest) else stream.end
+        while arrived < end:
+            arrived, ns = next(pieces)
+            stamper.arrived(arrived, ns)
+        frames = np.zeros(len(part), FRAME_DTYPE)
+        if device is not None:
+            frames["ts"] = device[start : start + batch]
+        stamper.stamp(frames, part, end)
+        yield frames
+
+
+def stamped(
+    stream: Stream, device: Times | None = None, batch: int = 4096, byte_ns: float = BYTE_NS
+) -> tuple[Times, Stamper]:
+    stamper = Stamper(device is not None, byte_ns, FRAME_MAX)
+    times = [frames["ts"] for frames in feed(stamper, stream, device, batch)]
+    return np.concatenate(times), stamper
+
+
+def known(stamper: Stamper) -> ClockEstimate:
+    assert stamper.remark is None
+    assert stamper.clock is not None
+    return stamper.clock
+
+
+def after(stream: Stream, seconds: float) -> npt.NDArray[np.bool_]:
+    return stream.truth >= EPOCH + round(seconds * S)
+
+
+# Without a clock.
+
+
+@pytest.mark.parametrize("latency", [MS, 4 * MS, 16 * MS])
+def test_unclocked_times_are_between_the_line_and_the_read(latency: int) -> None:
+    stream = send(bus(1, 60, 400), latency=latency)
+    times, stamper = stamped(stream)
+    assert (times >= stream.done - 2).all()  # the simulation rounds, too
+    assert (times <= stream.read).all()
+    assert (np.diff(times) >= 0).all()
+    assert np.median(times - stream.done) < latency
+    assert stamper.clock is None
+    assert stamper.remark is None
+
+
+def test_a_busy_line_is_known_to_the_byte() -> None:
+    # Back to back frames: every byte but those behind a late read is where the byte time puts it.
+    stream = send(EPOCH + np.arange(5000) * 100 * US, latency=MS)
+    times, _ = stamped(stream)
+    assert np.percentile(np.abs(times - stream.done), 90) < 2 * MS
+
+
+def test_the_last_byte_counts_and_noise_behind_it_does_not() -> None:
+    stamper = Stamper(False, 100, 10)
+    stamper.arrived(5, 1000)
+    stamper.arrived(100, 50_000)
+    frames = np.zeros(4, FRAME_DTYPE)
+    stamper.stamp(frames, np.array([0, 6, 30, 92]), 99)
+    # The first one straddles two reads, behind the second lie 8 bytes of noise,
+    # behind the third more; behind the last byte of the fourth there is one more.
+    assert frames["ts"].tolist() == [50_000 - 9400, 50_000 - 8400, 50_000 - 6000, 50_000 - 100]
+
+
+def test_no_byte_came_before_the_piece_before() -> None:
+    stamper = Stamper(False, 100, 10)
+    stamper.arrived(10, 1000)
+    stamper.arrived(30, 1500)
+    frames = np.zeros(3, FRAME_DTYPE)
+    stamper.stamp(frames, np.array([0, 10, 20]), 30)
+    assert frames["ts"].tolist() == [1000, 1000, 1500]
+
+
+def test_arrivals_never_go_back() -> None:
+    stamper = Stamper(False, 100, 10)
+    stamper.arrived(10, 5000)
+    stamper.arrived(20, 4000)
+    stamper.arrived(30, 4500)
+    frames = np.zeros(3, FRAME_DTYPE)
+    stamper.stamp(frames, np.array([0, 10, 20]), 30)
+    assert frames["ts"].tolist() == [5000, 5000, 5000]
+
+
+def test_frames_need_arrivals() -> None:
+    stamper = Stamper(False, 100, 10)
+    stamper.arrived(10, 1000)
+    with pytest.raises(ValueError, match=r"offset 11, .* up to 10 only; call arrived\(\) first"):
+        stamper.stamp(np.zeros(1, FRAME_DTYPE), np.array([0]), 11)
+
+
+def test_pieces_are_forgotten_when_all_is_decoded() -> None:
+    stamper = Stamper(False, 100, 10)
+    for piece in range(1, 1000):
+        stamper.arrived(piece * 10, piece)
+        stamper.stamp(np.zeros(0, FRAME_DTYPE), np.zeros(0, np.int64), piece * 10 - 3)
+        assert len(stamper._pieces) <= 3
+
+
+# With a clock.
+
+
+@pytest.mark.parametrize("unit", ["ms", "us"])
+@pytest.mark.parametrize("latency", [MS, 16 * MS])
+@pytest.mark.parametrize("rate", [5, 100, 450])
+def test_clocked_times_are_the_truth(unit: str, latency: int, rate: float) -> None:
+    stream = send(bus(2, 300, rate), latency=latency)
+    times, stamper = stamped(stream, ticks(stream.truth, unit))
+    error = times - stream.truth
+    assert (np.diff(times) >= 0).all()
+    assert (times <= stream.read).all()
+    good = after(stream, 20)
+    # The fewer frames, the longer it takes until some come through at once.
+    slack = MS if latency == MS or rate > 5 else 6 * MS
+    assert error[good].min() >= -TICK[unit] - slack
+    assert error[good].max() <= slack
+    assert known(stamper).restarts == 0
+    assert known(stamper).frames == pytest.approx(len(times), rel=0.05)
+
+
+@pytest.mark.parametrize("ppm", [-50, 50])
+def test_drift_is_followed_for_an_hour(ppm: int) -> None:
+    stream = send(bus(3, 3600, 100))
+    times, stamper = stamped(stream, ticks(stream.truth, "ms", ppm))
+    error = (times - stream.truth)[after(stream, 5)]
+    assert error.min() > -4 * MS
+    assert error.max() < 4 * MS
+    assert known(stamper).drift_ppm == pytest.approx(ppm, abs=3)
+    assert known(stamper).restarts == 0
+    assert 0 < known(stamper).jitter_ns < 20 * MS
+    now = int(stream.truth[-1]) - int(ticks(stream.truth[-1:], "ms", ppm)[0])
+    assert known(stamper).offset_ns == pytest.approx(now, abs=4 * MS)
+
+
+@pytest.mark.parametrize("ppm", [-10_000, 10_000])
+def test_a_clock_without_a_crystal(ppm: int) -> None:
+    stream = send(bus(5, 400, 200))
+    times, stamper = stamped(stream, ticks(stream.truth, "ms", ppm))
+    assert np.abs((times - stream.truth)[after(stream, 200)]).max() < 30 * MS
+    assert known(stamper).restarts == 0
+
+
+def test_ticks_of_a_second() -> None:
+    stream = send(bus(18, 240, 30))
+    times, stamper = stamped(stream, ticks(stream.truth, "s"))
+    error = (times - stream.truth)[after(stream, 20)]
+    assert error.min() >= -S - 10 * MS
+    assert error.max() <= 50 * MS
+    assert known(stamper).restarts == 0
+    assert abs(known(stamper).drift_ppm) < 500
+
+
+def test_the_estimate_is_good_from_the_start() -> None:
+    stream = send(bus(4, 5, 200), latency=4 * MS)
+    times, _ = stamped(stream, ticks(stream.truth, "us"))
+    error = times - stream.truth
+    assert error.min() >= 0
+    assert error[:8].max() <= 6 * MS
+    assert error[after(stream, 1)].max() <= 2 * MS
+
+
+@pytest.mark.parametrize("seconds", [0.3, 5, 40])
+def test_after_a_stall_of_the_host_device_times_are_still_right(seconds: float) -> None:
+    length = round(seconds * S)
+    stream = send(bus(5, 120, 200), stalls=((60 * S, length),))
+    late = stream.read - stream.done
+    times, stamper = stamped(stream, ticks(stream.truth))
+    error = (times - stream.truth)[after(stream, 10)]
+    assert late.max() > 0.9 * length
+    assert np.abs(error).max() <= 4 * MS
+    assert (np.diff(times) >= 0).all()
+    assert known(stamper).restarts == 0
+
+
+def test_bytes_that_were_old_when_the_port_was_opened() -> None:
+    stream = send(bus(6, 60, 200), stalls=((0, 8 * S),))
+    times, stamper = stamped(stream, ticks(stream.truth))
+    assert (times <= stream.read).all()
+    assert (np.diff(times) >= 0).all()
+    assert np.abs((times - stream.truth)[after(stream, 10)]).max() <= 4 * MS
+    assert known(stamper).restarts == 0
+
+
+@pytest.mark.parametrize("unit", ["ms", "us"])
+def test_a_false_frame_keeps_its_arrival_and_moves_nothing(unit: str) -> None:
+    stream = send(bus(7, 120, 300), stalls=((50 * S, 5 * S),))
+    device = ticks(stream.truth, unit)
+    rng = np.random.default_rng(7)
+    false = rng.random(len(device)) < 1e-3
+    # Seconds to hours off, both ways.
+    wild = (10 ** rng.uniform(9.8, 13, false.sum())).astype(np.int64)
+    device[false] += wild * rng.choice([-1, 1], false.sum())
+    times, stamper = stamped(stream, device)
+    error = times - stream.truth
+    good = after(stream, 10) & ~false
+    assert false.sum() > 20
+    assert -TICK[unit] - MS <= error[good].min()
+    assert error[good].max() <= 3 * MS
+    assert (np.diff(times[~false]) >= 0).all()
+    # The first byte's arrival, and that is not before the frame was on the bus.
+    assert (error[false] >= 0).all()
+    assert (times[false] <= stream.read[false]).all()
+    assert known(stamper).restarts == 0
+
+
+@pytest.mark.parametrize("rate", [2, 200])
+@pytest.mark.parametrize("zero", [EPOCH + 59 * S, EPOCH - 40 * S, EPOCH - 10**6 * S])
+def test_a_restart_of_the_device_starts_a_new_estimate(rate: float, zero: int) -> None:
+    # Its clock starts at zero, is set back a little, or jumps forward.
+    stream = send(bus(8, 120, rate))
+    device = ticks(stream.truth)
+    again = after(stream, 60)
+    device[again] = ticks(stream.truth, zero=zero)[again]
+    times, stamper = stamped(stream, device)
+    error = times - stream.truth
+    assert np.abs(error[after(stream, 15) & ~again]).max() < 12 * MS
+    # Until it is noticed they have arrival times.
+    assert error[again].max() < 130 * MS
+    assert error[again].min() >= -12 * MS
+    assert np.abs(error[after(stream, 75)]).max() < 12 * MS
+    assert (times <= stream.read).all()
+    assert known(stamper).restarts == 1
+
+
+def test_a_clock_that_stood_still_for_a_while() -> None:
+    stream = send(bus(9, 150, 200))
+    device = ticks(stream.truth)
+    device[after(stream, 60)] -= 400 * MS
+    times, _ = stamped(stream, device)
+    error = times - stream.truth
+    assert np.abs(error[after(stream, 95)]).max() < 5 * MS
+
+
+@pytest.mark.parametrize("zero", [EPOCH - 77 * S, EPOCH - 60 * S, EPOCH + 10 * S])
+def test_behind_a_gap_the_clock_proves_itself_again(zero: int) -> None:
+    # The same device, one that is later by 17 s only, one that was just switched on.
+    before, behind = send(bus(10, 60, 200)), send(bus(10, 60, 200))
+    device = np.append(ticks(before.truth), ticks(before.truth + 100 * S, zero=zero))
+    stamper = Stamper(True, BYTE_NS, FRAME_MAX)
+    times = [f["ts"] for f in feed(stamper, before, device[: len(before.truth)])]
+    stamper.gap()
+    behind.offsets += before.end
+    behind.end += before.end
+    behind.pieces = [(end + before.end, ns + 100 * S) for end, ns in behind.pieces]
+    times += [f["ts"] for f in feed(stamper, behind, device[len(before.truth) :])]
+    error = np.concatenate(times) - np.append(before.truth, behind.truth + 100 * S)
+    settled = error[len(before.truth) + 200 :]  # a second
+    assert settled.min() >= -3 * MS
+    assert settled.max() <= 3 * MS
+    assert known(stamper).restarts == (zero != EPOCH - 77 * S)
+
+
+@pytest.mark.parametrize(
+    ("unit", "taken_for", "said"),
+    [
+        ("us", "ms", "1000 times as fast as the host's; is ts_unit 'us'?"),
+        ("ms", "s", "1000 times as fast as the host's; is ts_unit 'ms'?"),
+        ("us", "s", "1000000 times as fast as the host's; is ts_unit 'us'?"),
+        ("ms", "us", "1000 times as slowly as the host's; is ts_unit 'ms'?"),
+        ("s", "us", "1000000 times as slowly as the host's; is ts_unit 's'?"),
+    ],
+)
+def test_a_wrong_unit_is_told_and_frames_have_arrival_times(
+    unit: str, taken_for: str, said: str
+) -> None:
+    stream = send(bus(11, 60, 200))
+    device = ticks(stream.truth, unit) // TICK[unit] * TICK[taken_for]
+    times, stamper = stamped(stream, device)
+    assert stamper.remark == f"the device clock runs {said}"
+    assert stamper.clock is None
+    error = times - stream.truth
+    assert error[after(stream, 10)].min() >= 0
+    assert error.min() >= -2 * S
+    assert (times <= stream.read).all()
+
+
+def test_a_clock_that_stands_still() -> None:
+    stream = send(bus(12, 30, 200))
+    times, stamper = stamped(stream, np.zeros(len(stream.truth), np.int64))
+    assert stamper.remark == (
+        "the device clock stands still or runs backwards; frames have arrival times"
+    )
+    assert ((times - stream.truth)[after(stream, 10)] >= 0).all()
+
+
+def test_a_clock_that_is_no_multiple_of_a_thousand_off() -> None:
+    stream = send(bus(12, 30, 200))
+    _, stamper = stamped(stream, 5 * ticks(stream.truth))
+    assert stamper.remark == (
+        "the device clock runs 5 times as fast as the host's; frames have arrival times"
+    )
+
+
+def test_a_remark_is_withdrawn_when_the_clock_runs_well() -> None:
+    stream = send(bus(13, 60, 200))
+    device = ticks(stream.truth)
+    stood = ~after(stream, 20)
+    device[stood] = device[0]
+    times, stamper = stamped(stream, device)
+    assert np.abs((times - stream.truth)[after(stream, 40)]).max() < 4 * MS
+    assert known(stamper).frames > 1000
+
+
+def test_noise_only_has_arrival_times_and_no_estimate() -> None:
+    stream = send(bus(14, 60, 200))
+    device = np.random.default_rng(14).integers(0, 2**32, len(stream.truth)) * MS
+    times, stamper = stamped(stream, device)
+    assert ((times >= stream.truth) & (times <= stream.read)).all()
+    assert (stamper.clock, stamper.remark) == (None, None)
+
+
+@pytest.mark.parametrize("unit", ["ms", "us"])
+def test_a_counter_that_wraps(unit: str) -> None:
+    # The decoder unwraps; what the wire cannot say it leaves to the estimate.
+    stream = send(bus(15, 60, 200))
+    zero = EPOCH + 30 * S - 2**32 * TICK[unit]
+    frames = np.zeros(len(stream.truth), FRAME_DTYPE)
+    frames["dlc"] = 8
+    frames["ts"] = ticks(stream.truth, unit, zero=zero)
+    decoder = canser.Decoder("serial", ts_unit=unit)
+    decoded = decoder.feed(canser.encode(frames, "serial", ts_unit=unit))
+    assert decoder.stats.ts_wraps == 1
+    times, stamper = stamped(stream, decoded["ts"])
+    assert np.abs((times - stream.truth)[after(stream, 5)]).max() < 4 * MS
+    assert known(stamper).restarts == 0
+
+
+@pytest.mark.parametrize("clocked", [False, True])
+@pytest.mark.parametrize("batch", [1, 7, 100_000])
+def test_it_does_not_matter_how_calls_are_cut(clocked: bool, batch: int) -> None:
+    stream = send(bus(16, 40, 200), stalls=((20 * S, 3 * S),))
+    device = ticks(stream.truth)
+    device[::97] += 1000 * S
+    device[after(stream, 30)] -= 50 * S
+    wanted, _ = stamped(stream, device if clocked else None)
+    times, _ = stamped(stream, device if clocked else None, batch=batch)
+    assert np.array_equal(times, wanted)
+
+
+STEPS = st.integers(0, 10**11) | st.sampled_from([0, MS, S])
+
+
+@given(
+    st.booleans(),
+    st.floats(0, 1e6),
+    st.lists(st.tuples(st.integers(1, 40), STEPS, st.sampled_from("...g")), min_size=1),
+    st.data(),
+)
+def test_whatever_comes_has_a_time_between_its_arrivals(
+    clocked: bool, byte_ns: float, reads: list[tuple[int, int, str]], data: st.DataObject
+) -> None:
+    stamper = Stamper(clocked, byte_ns, FRAME_MAX)
+    ends = np.cumsum([0] + [size for size, _, _ in reads])
+    times = EPOCH + np.cumsum([0] + [step for _, step, _ in reads])
+    starts = sorted(data.draw(st.sets(st.integers(0, int(ends[-1]) - 1))))
+    clocks = data.draw(st.lists(st.integers(-(2**63), 2**63 - 2), min_size=1, max_size=5))
+    cuts = sorted(data.draw(st.sets(st.integers(0, len(reads)), max_size=5)) | {0, len(reads)})
+    stamps: list[int] = []
+    for first, last in pairwise(cuts):
+        for (_, _, gap), end, ns in zip(
+            reads[first:last], ends[first + 1 :], times[first + 1 :], strict=False
+        ):
+            if gap == "g":
+                stamper.gap()
+            stamper.arrived(int(end), int(ns))
+        offsets = np.array([s for s in starts if ends[first] <= s < ends[last]], np.int64)
+        frames = np.zeros(len(offsets), FRAME_DTYPE)
+        frames["ts"] = [clocks[int(offset) % len(clocks)] + int(offset) % 2 for offset in offsets]
+        stamper.stamp(frames, offsets, int(ends[last]))
+        stamps += frames["ts"].tolist()
+    assert len(stamps) == len(starts)
+    if not clocked:
+        assert stamps == sorted(stamps)
+    for start, stamp in zip(starts, stamps, strict=True):
+        # No later than the read that holds the frame's last byte, and without a clock
+        # no earlier than the read before its first byte's.
+        latest = np.searchsorted(ends, min(start + FRAME_MAX, ends[-1]))
+        assert stamp <= times[latest]
+        earliest = np.searchsorted(ends, start + 1) - 1
+        if not clocked and earliest > 0:
+            assert stamp >= times[earliest]
