@@ -175,6 +175,11 @@ class Decoder:
         return self._stream.position
 
     @property
+    def skipped(self) -> int:
+        """Bytes inside no packet so far: `stats.bytes_skipped`, without the rest."""
+        return self._stream.skipped
+
+    @property
     def pending(self) -> int:
         """Bytes held: the start of a packet that is not whole yet."""
         return self._stream.pending

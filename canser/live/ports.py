@@ -1,0 +1,694 @@
+"""Live ports: frames in batches, with host times; sending; the adapter's own commands."""
+
+import contextlib
+import functools
+import os
+import sys
+import threading
+import time
+import warnings
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterator
+from typing import Any, Final, NamedTuple, Self, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from canser import adapters
+from canser._binding import BytesLike, as_bytes, find_protocol, output_frames
+from canser.adapters import Report
+from canser.codec import Control, Decoder, Stats, decode, encode
+from canser.errors import PortClosedError, PortError, SendError, SendTimeoutError
+from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray
+from canser.live.line import Line, open_line
+from canser.live.link import NO_MORE, Link
+from canser.live.ring import Gap, Ring
+from canser.live.stream import LiveStream, Tap
+from canser.live.timing import ClockEstimate, Stamper
+
+__all__ = ["Gap", "Port", "PortInfo", "list_ports", "open"]
+
+_T = TypeVar("_T")
+
+# Bits of a byte on the line, with its start and stop bit.
+_BITS: Final = 10
+
+# The adapter's document asks for a pause after its configuration, in seconds.
+_SETTLE: Final = 0.1
+
+# Frames that are due within so many seconds, at the rate of those before, come soon.
+_SOON: Final = 0.02
+
+# Who waits for a status lets others read after so many seconds.
+_TURN: Final = 0.02
+
+# A ring smaller than what a terminal gives at once would lose bytes of any reader.
+_RING_LEAST: Final = 1 << 16
+
+
+def open(  # noqa: A001 - the name that the interface has, used as canser.open
+    url: str,
+    protocol: str,
+    *,
+    baudrate: int | None = None,
+    bitrate: int | None = None,
+    mode: str = "normal",
+    frame_type: str = "all",
+    filter_id: int = 0,
+    filter_mask: int = 0,
+    once: bool = False,
+    ts_unit: str = "ms",
+    device_time: bool = False,
+    ring_size: int = 8 << 20,
+    flush: bool = False,
+    reconnect: bool = False,
+    ping: float | None = None,
+    tap: Tap | None = None,
+) -> "Port":
+    """Open a live port.
+
+    `url`: whatever pyserial opens: a device, a pseudo terminal, `socket://host:port`,
+    `rfc2217://host:port`, `loop://`. `baudrate`: of the line; by default the protocol's own.
+    The line is opened raw and exclusively; bytes that wait there stay, unless `flush`.
+
+    `bitrate`: of the CAN bus in bit/s; the adapter is then configured, with `mode`,
+    `frame_type`, `filter_id`, `filter_mask` and `once` as in `adapters.configuration`.
+    `ts_unit`: of the device's clock, as for `Decoder`. `device_time`: frames keep the times of
+    that clock, unwrapped, and get no host times.
+    `ring_size`: bytes that are kept for a slow reader. `reconnect`: wait for a device that is
+    gone, and go on. `ping`: seconds between pings of the watchdog, where the protocol has it.
+    `tap`: is given all bytes as they came, `tap(data, arrival_ns, lost)`, before their frames
+    are returned; `data` is good until it returns; `lost` bytes are missing before it (-1: not
+    known how many).
+
+    ValueError and TypeError for the caller's mistakes; PortNotFoundError,
+    PortDeniedError, PortBusyError, PortError for a port that cannot be opened.
+    """
+    row = find_protocol(protocol)
+    settings: dict[str, Any] = {
+        "mode": mode,
+        "frame_type": frame_type,
+        "filter_id": filter_id,
+        "filter_mask": filter_mask,
+        "once": once,
+    }
+    greeting = b""
+    if bitrate is not None:
+        greeting = adapters.configuration(row.name, bitrate=bitrate, **settings)
+    elif settings != _UNSET:
+        raise ValueError("the adapter is configured as a whole: give its bitrate, too")
+    rate = adapters.baudrate(row.name) if baudrate is None else baudrate
+    if device_time and not row.has_clock:
+        raise ValueError(f"{row.name} frames carry no device time; leave device_time out")
+    if rate < 1:
+        raise ValueError(f"baudrate is {rate}; it must be 1 or more")
+    if ring_size < _RING_LEAST:
+        raise ValueError(f"ring_size is {ring_size}; it must be {_RING_LEAST} or more")
+    if ping is not None and not adapters.ping(row.name):
+        raise ValueError(f"{row.name} adapters know no ping; leave ping out")
+    if ping is not None and not ping > 0:
+        raise ValueError(f"ping is {ping}; it must be more than 0 seconds")
+    return Port(
+        url,
+        Decoder(row.name, ts_unit=ts_unit),
+        baudrate=rate,
+        bitrate=bitrate,
+        ts_unit=ts_unit,
+        device_time=device_time,
+        ring_size=ring_size,
+        flush=flush,
+        reconnect=reconnect,
+        ping=ping,
+        tap=tap,
+        greeting=greeting,
+    )
+
+
+_UNSET: Final = {
+    "mode": "normal",
+    "frame_type": "all",
+    "filter_id": 0,
+    "filter_mask": 0,
+    "once": False,
+}
+
+
+class Port:
+    """A live port, made by `open`; a context manager.
+
+    A thread drains the line into a ring of raw bytes; whoever reads decodes them, straight into
+    the array that is returned. Several threads may read: each frame goes to one of them.
+    Frames have host times, epoch nanoseconds of a clock that does not step: by the device
+    clock where the protocol has one, else when the last byte came. (Opened with
+    `device_time` they have the times of the device's own clock.)
+    """
+
+    def __init__(
+        self,
+        url: str,
+        decoder: Decoder,
+        *,
+        baudrate: int,
+        bitrate: int | None,
+        ts_unit: str,
+        device_time: bool,
+        ring_size: int,
+        flush: bool,
+        reconnect: bool,
+        ping: float | None,
+        tap: Tap | None,
+        greeting: bytes,
+    ) -> None:
+        self._closed, self._pid = True, os.getpid()  # until it is open
+        self.url, self.decoder = url, decoder
+        self.protocol, self.baudrate, self.bitrate = decoder.protocol, baudrate, bitrate
+        row = find_protocol(decoder.protocol)
+        self._ts_unit, self._clocked, self._frame_min = ts_unit, row.has_clock, row.frame_min
+        self._clock = host_clock()
+        self._opened_ns = self._clock()
+        self._ring = Ring(ring_size)
+        stamper = Stamper(row.has_clock, _BITS * 1e9 / baudrate, row.frame_max)
+        self._ping_s = ping or 0.0
+        self._stream = LiveStream(
+            url,
+            self._ring,
+            decoder,
+            stamper,
+            tap=tap,
+            ping_s=self._ping_s,
+            device_time=device_time,
+        )
+        self._reading = threading.RLock()
+        # Decoded in a call that returned no frames: an exception, or the wait for a status.
+        self._stash: deque[FrameArray] = deque()
+        self._held = False  # what `hold_ready` was told
+        # Nothing in the thread may hold the port: it would never be collected.
+        self._greeting = _Greeting(greeting)
+        self._link = Link(
+            _Connect(url, baudrate, self._greeting, flush=flush),
+            self._ring,
+            self._clock,
+            byte_s=_BITS / baudrate,
+            reconnect=reconnect,
+            beat=adapters.ping(decoder.protocol) if ping is not None else b"",
+            beat_s=self._ping_s,
+        )
+        self._closed = False
+
+    def __repr__(self) -> str:
+        return f"<canser.Port {self.url} {self.protocol}{' closed' if self._closed else ''}>"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        if not getattr(self, "_closed", True) and self._pid == os.getpid():
+            warnings.warn(f"unclosed {self!r}", ResourceWarning, stacklevel=2, source=self)
+            # At the end of the program its thread has ended already, wherever it was.
+            if not sys.is_finalizing():
+                self.close()
+
+    # Reading
+
+    def read_batch(
+        self,
+        out: FrameArray | None = None,
+        *,
+        max_frames: int = 4096,
+        min_frames: int = 1,
+        timeout: float | None = None,
+    ) -> FrameArray:
+        """Return the next frames.
+
+        Waits until `min_frames` are there, at most `timeout` seconds (None: for ever; 0: not
+        at all), and returns what there is: `out[:n]` where `out` is given, an array of
+        FRAME_DTYPE, contiguous; else a new array of at most `max_frames`. After the
+        time-out n may be 0.
+
+        PortGoneError when the device is gone, after all frames that came before;
+        PortClosedError when the port is or gets closed. Errors of `out` as for
+        `Decoder.feed_into`. After another exception, of `tap` or Ctrl-C, the next call
+        returns what this one had.
+        """
+        self._check_open()
+        room = self._check_room(out, max_frames)
+        if not 0 <= min_frames <= len(room):
+            raise ValueError(f"min_frames is {min_frames}; it must be 0 to {len(room)}, the room")
+        deadline = None if timeout is None else time.monotonic() + timeout
+        count = 0
+        if self._take_turn(deadline):
+            try:
+                count = self._read_into(room, min_frames, deadline)
+            finally:
+                self._reading.release()
+        batch = room[:count]
+        # A batch that is far from full would hold memory that nobody uses.
+        return batch.copy() if out is None and count < len(room) // 2 else batch
+
+    def batches(
+        self, *, max_frames: int = 4096, timeout: float = 0.05, out: FrameArray | None = None
+    ) -> Iterator[FrameArray]:
+        """Yield batches as they come, until the port is closed.
+
+        Each is gathered until it has `max_frames` (or fills `out`) or `timeout` seconds have
+        passed, and has at least one frame. `out` is filled again and again. PortGoneError
+        as in `read_batch`.
+        """
+        least = max_frames if out is None else len(out)
+        while True:
+            try:
+                batch = self.read_batch(
+                    out, max_frames=max_frames, min_frames=least, timeout=timeout
+                )
+            except PortClosedError:
+                return
+            if len(batch):
+                yield batch
+
+    async def batches_async(
+        self, *, max_frames: int = 4096, timeout: float = 0.05
+    ) -> AsyncIterator[FrameArray]:
+        """Yield batches as `batches` does, without blocking the event loop.
+
+        A task that is cancelled here loses no frame.
+        """
+        import asyncio  # noqa: PLC0415 - imported where it is used: it takes 30 ms
+
+        loop, came = asyncio.get_running_loop(), asyncio.Event()
+
+        def tell() -> None:
+            if not loop.is_closed():
+                loop.call_soon_threadsafe(came.set)
+
+        try:
+            while True:
+                came.clear()
+                wanted = max_frames * self._frame_min
+                self._ring.listen(wanted, tell)
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(came.wait(), timeout)
+                try:
+                    batch = self.read_batch(max_frames=max_frames, timeout=0)
+                except PortClosedError:
+                    return
+                if len(batch):
+                    yield batch
+        finally:
+            self._ring.listen(1, None)
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable while bytes wait, or the port is gone.
+
+        For select(), poll() and event loops; not to be read. POSIX only.
+        """
+        self._check_open()
+        return self._ring.fileno()
+
+    def hold_ready(self, held: bool) -> None:
+        """Keep that descriptor readable, for a caller who has frames left to hand on."""
+        self._held = held
+        self._ring.hold_ready(held or bool(self._stash))
+
+    def take_controls(self) -> list[Control]:
+        """Return the control packets since the last call, oldest first: offset and bytes.
+
+        `adapters.report` tells what they say. The newest 65,536 are kept.
+        """
+        return _empty(self._stream.controls)
+
+    def take_gaps(self) -> list[Gap]:
+        """Return the places since the last call where bytes are missing, oldest first."""
+        return _empty(self._stream.gaps)
+
+    @property
+    def stats(self) -> Stats:
+        """The decoder's counters, of the bytes that were read so far."""
+        return self.decoder.stats
+
+    @property
+    def bytes_lost(self) -> int:
+        """Bytes that came while the ring was full, and were thrown away."""
+        return self._ring.lost
+
+    @property
+    def ring_fill(self) -> float:
+        """How full the ring is, 0 to 1."""
+        return self._ring.fill
+
+    @property
+    def clock(self) -> ClockEstimate | None:
+        """Offset and drift of the device clock; None where there is none, or nothing is known.
+
+        With `device_time` nothing is.
+        """
+        return self._stream.stamper.clock
+
+    @property
+    def status(self) -> Report | None:
+        """The last status that came from the adapter, None before the first."""
+        return self._stream.status
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._closed
+
+    # Writing
+
+    def send(self, frames: FrameArray, *, timeout: float | None = None) -> int:
+        """Send frames, as fast as the line takes them; return how many, all of them.
+
+        `frames` as for `encode`; a time that is not known goes out as the time since the
+        port was opened. Returns when the system has taken the last byte. `timeout`: seconds
+        for the whole.
+
+        ValueError for a frame that the format cannot carry: nothing is sent then.
+        SendTimeoutError when the line takes no more in time, SendError when it is gone:
+        `sent` tells how many frames went out. One that is cut by the time-out counts as
+        sent: its rest goes out before anything else.
+        """
+        self._check_open()
+        if self._clocked and getattr(frames, "dtype", None) == FRAME_DTYPE:
+            unknown = frames["ts"] == NO_TIME
+            if unknown.any():
+                frames = frames.copy()
+                frames["ts"][unknown] = self._clock() - self._opened_ns
+        raw = encode(frames, self.protocol, ts_unit=self._ts_unit)
+
+        def lacks(written: int) -> int:
+            ends = self._ends(raw)
+            return int(ends[np.searchsorted(ends, written)]) - written
+
+        written, why = self._link.write(raw, timeout, lacks)
+        if not why:
+            return len(frames)
+        whole = int(np.searchsorted(self._ends(raw), written, side="right"))
+        kind = SendTimeoutError if why == NO_MORE else SendError
+        raise kind(f"{self.url}: {why}; {whole} of {len(frames)} frames were sent", whole)
+
+    def send_raw(self, data: BytesLike, *, timeout: float | None = None) -> None:
+        """Send bytes as they are, such as a command that canser does not know.
+
+        SendError (SendTimeoutError), whose `sent` is 0, when not all could be sent.
+        """
+        self._check_open()
+        raw = as_bytes(data).tobytes()
+        written, why = self._link.write(raw, timeout, lambda _: 0)
+        if why:
+            kind = SendTimeoutError if why == NO_MORE else SendError
+            raise kind(f"{self.url}: {why}; {written} of {len(raw)} bytes were sent", 0)
+
+    def drain(self, *, timeout: float | None = None) -> bool:
+        """Wait until the line has sent all that was written; False after `timeout` seconds.
+
+        PortGoneError when the device is gone.
+        """
+        self._check_open()
+        deadline = None if timeout is None else time.monotonic() + timeout
+        # What is left of a frame that a time-out of `send` has cut.
+        _, why = self._link.write(b"", timeout, lambda _: 0)
+        while True:
+            self._check_open()
+            held = self._link.unwritten()
+            if why:
+                return False
+            if not held:
+                return True
+            if deadline is not None and time.monotonic() >= deadline:
+                return False
+            # As long as the line needs for it, but for not longer than one notices.
+            time.sleep(min(max(held * _BITS / self.baudrate, 0.0005), 0.02))
+
+    # The adapter's own commands
+
+    def configure(
+        self,
+        *,
+        bitrate: int,
+        mode: str = "normal",
+        frame_type: str = "all",
+        filter_id: int = 0,
+        filter_mask: int = 0,
+        once: bool = False,
+    ) -> None:
+        """Configure the adapter, as `open` does; takes a tenth of a second.
+
+        ValueError as `adapters.configuration`, SendError if the line does not take it.
+        """
+        greeting = adapters.configuration(
+            self.protocol,
+            bitrate=bitrate,
+            mode=mode,
+            frame_type=frame_type,
+            filter_id=filter_id,
+            filter_mask=filter_mask,
+            once=once,
+        )
+        self.send_raw(greeting)
+        self._greeting.data, self.bitrate = greeting, bitrate
+        time.sleep(_SETTLE)
+
+    def request_status(self, *, timeout: float = 1.0) -> Report:
+        """Ask the adapter for its status, and return the answer.
+
+        Frames that come meanwhile are returned by the next reads. ValueError where the
+        protocol knows no status; PortError when no answer comes.
+        """
+        request = adapters.status_request(self.protocol)
+        if not request:
+            raise ValueError(f"{self.protocol} adapters know no status request")
+        deadline = time.monotonic() + timeout
+        self._stream.status = None
+        self.send_raw(request, timeout=timeout)
+        while (status := self._stream.status) is None:
+            self._check_open()
+            if time.monotonic() >= deadline:
+                raise PortError(
+                    f"{self.url} did not answer the status request within {timeout:g} s; "
+                    "is it this kind of adapter?"
+                )
+            # Somebody else who reads finds the answer, too.
+            if self._take_turn(min(deadline, time.monotonic() + _TURN)):
+                try:
+                    self._read_ahead(min(deadline, time.monotonic() + _TURN))
+                finally:
+                    self._reading.release()
+        return status
+
+    def close(self) -> None:
+        """Close the port; a read that waits in another thread ends with PortClosedError.
+
+        A signal handler may do so, too.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        if self._pid != os.getpid():
+            return  # the parent's: its thread is not here, and its line stays open
+        self._ring.close(PortClosedError(f"{self.url} is closed"))
+        self._link.close()
+
+    # Inside
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise PortClosedError(f"{self.url} is closed")
+        if self._pid != os.getpid():
+            raise PortError(
+                f"{self.url} was opened by process {self._pid}, before a fork; "
+                "open it in the process that uses it"
+            )
+
+    def _take_turn(self, deadline: float | None) -> bool:
+        """Become the one who reads; False after the deadline."""
+        left = -1.0 if deadline is None else max(deadline - time.monotonic(), 0)
+        return self._reading.acquire(timeout=left)
+
+    def _read_into(self, room: FrameArray, min_frames: int, deadline: float | None) -> int:
+        """Read as `read_batch` does, return how many frames `room` has then."""
+        count = self._stream.filled = self._unstash(room)
+        begin, start = time.monotonic(), self.decoder.position
+        try:
+            while True:
+                self._watch()
+                count = self._stream.decode_into(room, count)
+                if count >= min_frames:
+                    return count
+                error = self._end_error()
+                if error is not None:
+                    count = self._stream.end_into(room, count)
+                    if count:
+                        return count
+                    raise error
+                missing, came = min_frames - count, self.decoder.position - start
+                if came and count:
+                    # Where all will be there soon, wait for the bytes that they have on average:
+                    # waking for the fewest that may do would be many times for nothing.
+                    now = time.monotonic()
+                    soon = now + (now - begin) * missing / count
+                    if (
+                        soon < now + _SOON
+                        and (deadline is None or soon < deadline)
+                        and self._wait(max(missing * came // count, 1), soon)
+                    ):
+                        continue
+                wanted = missing * self._frame_min - self.decoder.pending
+                if not self._wait(max(wanted, 1), deadline):
+                    # Less than was hoped for may still be some.
+                    return self._stream.decode_into(room, count)
+        except BaseException:
+            self._stash_from(room, first=True)
+            raise
+
+    def _read_ahead(self, deadline: float) -> None:
+        """Wait for bytes and decode them, for later reads."""
+        room = np.empty(4096, FRAME_DTYPE)
+        self._stream.filled = 0
+        try:
+            self._watch()
+            if not self._stream.decode_into(room, 0):
+                error = self._end_error()
+                if error is not None:
+                    raise error
+                self._wait(1, deadline)
+        finally:
+            self._stash_from(room, first=False)
+
+    def _stash_from(self, room: FrameArray, *, first: bool) -> None:
+        """Keep the frames that were decoded into `room` for the next read."""
+        if self._stream.filled:
+            frames = room[: self._stream.filled].copy()
+            if first:
+                self._stash.appendleft(frames)
+            else:
+                self._stash.append(frames)
+            self._ring.hold_ready(True)
+
+    def _end_error(self) -> Exception | None:
+        """Return what has ended the stream, if all that came before is taken."""
+        error = self._ring.error
+        if error is None:
+            return None
+        # A new one: it may be raised again and again, in several threads.
+        kind = type(error) if isinstance(error, PortError) else PortError
+        return kind(str(error))
+
+    def _check_room(self, out: FrameArray | None, max_frames: int) -> FrameArray:
+        if out is not None:
+            output_frames(out)
+            return out
+        if max_frames < 1:
+            raise ValueError(f"max_frames is {max_frames}; it must be 1 or more")
+        return np.empty(max_frames, FRAME_DTYPE)
+
+    def _unstash(self, room: FrameArray) -> int:
+        """Move frames that were decoded earlier into `room`; return how many."""
+        count = 0
+        while self._stash and count < len(room):
+            frames = self._stash.popleft()
+            fits = min(len(frames), len(room) - count)
+            room[count : count + fits] = frames[:fits]
+            count += fits
+            if fits < len(frames):
+                self._stash.appendleft(frames[fits:])
+        if count and not self._stash:
+            self._ring.hold_ready(self._held)
+        return count
+
+    def _watch(self) -> None:
+        """See whether the watchdog's ping comes back."""
+        if self._ping_s:
+            self._stream.watch(self._clock(), self._link.last_beat)
+
+    def _wait(self, wanted: int, deadline: float | None) -> bool:
+        """Wait for bytes; see meanwhile whether the watchdog's ping comes back."""
+        while self._ping_s:
+            self._watch()
+            soon = time.monotonic() + self._ping_s
+            if deadline is not None and soon >= deadline:
+                break
+            if self._ring.wait(wanted, soon):
+                return True
+        return self._ring.wait(wanted, deadline)
+
+    def _ends(self, raw: bytes) -> npt.NDArray[np.int64]:
+        """Return where each of the packets ends that `encode` gave."""
+        starts = np.empty(len(raw) // self._frame_min + 1, np.int64)
+        count = len(decode(raw, self.protocol, ts_unit=self._ts_unit, offsets=starts))
+        return np.append(starts[1:count], len(raw))
+
+
+class _Greeting:
+    """What an adapter is told when it is opened."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+
+
+class _Connect:
+    """Open the line, and make the adapter ready."""
+
+    def __init__(self, url: str, baudrate: int, greeting: _Greeting, *, flush: bool) -> None:
+        self._url, self._baudrate, self._greeting, self._flush = url, baudrate, greeting, flush
+
+    def __call__(self) -> Line:
+        line = open_line(self._url, self._baudrate, flush=self._flush)
+        greeting = memoryview(self._greeting.data)
+        try:
+            while greeting:
+                count = line.write(greeting, 1.0)
+                if not count:
+                    raise PortError(
+                        f"{self._url} does not take the adapter's configuration; is it plugged in?"
+                    )
+                greeting = greeting[count:]
+        except BaseException:
+            line.close()
+            raise
+        if self._greeting.data:
+            time.sleep(_SETTLE)
+        return line
+
+
+def _empty(items: deque[_T]) -> list[_T]:
+    """Take all there is, while somebody else may add to it."""
+    taken = []
+    with contextlib.suppress(IndexError):
+        while True:
+            taken.append(items.popleft())
+    return taken
+
+
+def host_clock() -> Callable[[], int]:
+    """Return a clock of epoch nanoseconds that does not step when the host's is set."""
+    steady = time.monotonic_ns
+    if hasattr(time, "CLOCK_BOOTTIME"):
+        # It goes on while the machine sleeps, as Linux' monotonic clock does not.
+        steady = functools.partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME)
+    base = time.time_ns() - steady()
+    return lambda: base + steady()
+
+
+class PortInfo(NamedTuple):
+    """A serial port of this machine."""
+
+    url: str  # what `open` takes
+    name: str  # of the device, as it calls itself; "" where it does not
+    hardware: str  # USB ids and serial number, or what else the system knows; "" for nothing
+
+
+def list_ports() -> list[PortInfo]:
+    """Return the serial ports that are plugged in, by name."""
+    from serial.tools.list_ports import comports  # noqa: PLC0415 - imported where it is used
+
+    return [
+        PortInfo(
+            found.device,
+            "" if found.description in (None, "n/a") else found.description,
+            "" if found.hwid in (None, "n/a") else found.hwid,
+        )
+        for found in sorted(comports())
+    ]
