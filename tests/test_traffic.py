@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from canser.frames import FRAME_DTYPE, FrameArray
-from canser.traffic import line_noise, vehicle
+from canser.simulation.traffic import damage, line_noise, vehicle
 from reference import ID_EXT_MAX, ID_MAX
 from samples import MILLISECOND, SECOND
 
@@ -131,3 +131,51 @@ def test_a_hit_loses_a_byte_or_adds_one_in_front_or_flips_a_bit() -> None:
 
 def test_no_bytes_stay_no_bytes() -> None:
     assert line_noise(b"", rate=1) == b""
+
+
+NOISE = np.random.default_rng(2).integers(0, 256, 100_000, dtype=np.uint8).tobytes()
+
+
+def test_damage_tells_what_became_of_every_byte() -> None:
+    hit = damage(NOISE, noise=0.1, loss=0.1, seed=5)
+    lost, inserted, flipped = (
+        set(places.tolist()) for places in (hit.lost, hit.inserted, hit.flipped)
+    )
+    assert lost
+    assert inserted
+    assert flipped
+    place = 0
+    for at, byte in enumerate(NOISE):
+        if at in lost:
+            assert at not in inserted | flipped
+            continue
+        place += at in inserted
+        assert (hit.data[place] ^ byte).bit_count() == (at in flipped)
+        place += 1
+    assert place == len(hit.data)
+
+
+def test_noise_is_the_same_with_any_loss() -> None:
+    noisy, both = damage(NOISE, noise=0.05), damage(NOISE, noise=0.05, loss=0.2)
+    kept = np.setdiff1d(noisy.flipped, both.lost)
+    assert both.flipped.tolist() == kept.tolist()
+    assert set(noisy.lost.tolist()) < set(both.lost.tolist())
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1, 0.5, 1])
+def test_the_share_that_is_lost_holds(share: float) -> None:
+    assert len(damage(CLEAN, loss=share).lost) / len(CLEAN) == pytest.approx(share, rel=0.05)
+
+
+def test_bytes_are_lost_in_runs() -> None:
+    lost = damage(CLEAN, loss=0.001).lost
+    runs = 1 + np.count_nonzero(np.diff(lost) > 1)
+    assert len(lost) / runs == pytest.approx(32, rel=0.2)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1, float("nan")])
+def test_a_share_is_from_0_to_1(share: float) -> None:
+    with pytest.raises(ValueError, match=f"noise is {share}; it is a share"):
+        damage(CLEAN, noise=share)
+    with pytest.raises(ValueError, match=f"loss is {share}; it is a share"):
+        damage(CLEAN, loss=share)

@@ -1,11 +1,15 @@
 """Simulated bus traffic, and what a bad line does to its bytes: data where no adapter is."""
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
 from canser.frames import FRAME_DTYPE, FrameArray
 
-__all__ = ["line_noise", "vehicle"]
+__all__ = ["Damaged", "damage", "line_noise", "vehicle"]
 
 _MS = 1_000_000  # nanoseconds
 
@@ -71,18 +75,64 @@ def line_noise(data: bytes | npt.NDArray[np.uint8], *, rate: float = 1e-3, seed:
     A share `rate` of the bytes is hit: a third is lost, a third gets a random byte in
     front, a third has one bit flipped. The same arguments give the same bytes.
     """
+    return damage(data, noise=rate, seed=seed).data
+
+
+@dataclass(frozen=True, slots=True)
+class Damaged:
+    """Bytes behind a bad line, and what became of which clean byte, in ascending order."""
+
+    data: bytes
+    lost: npt.NDArray[np.int64]
+    inserted: npt.NDArray[np.int64]  # a random byte came in front of these
+    flipped: npt.NDArray[np.int64]  # one bit of these
+
+
+def damage(
+    data: bytes | npt.NDArray[np.uint8],
+    *,
+    noise: float = 0,
+    loss: float = 0,
+    seed: int | Sequence[int] = 1,
+) -> Damaged:
+    """Hit bytes as a bad line does, and tell which.
+
+    `noise`: as the rate of `line_noise`. `loss`: the share of the bytes that is lost
+    besides in runs of 1 to 63, as a buffer loses them that overflows. The same arguments
+    give the same bytes, and the same noise with any loss. ValueError for a share that
+    is none.
+    """
+    for name, share in (("noise", noise), ("loss", loss)):
+        if not 0 <= share <= 1:
+            raise ValueError(f"{name} is {share}; it is a share of the bytes, from 0 to 1")
     rng = np.random.default_rng(seed)
     clean = np.frombuffer(data, np.uint8)
-    hits = np.flatnonzero(rng.random(len(clean)) < rate)
+    hits = np.flatnonzero(rng.random(len(clean)) < noise)
     kinds = rng.integers(0, 3, len(hits))
     noisy = clean.copy()
     flipped = hits[kinds == 2]
     noisy[flipped] ^= np.left_shift(1, rng.integers(0, 8, len(flipped))).astype(np.uint8)
     inserted = hits[kinds == 1]
-    lost = hits[kinds == 0]
-    kept = np.ones(len(clean), np.bool_)
-    kept[lost] = False
-    # Positions in what is kept: a byte that is lost has none in front of it.
-    before: npt.NDArray[np.int64] = np.cumsum(kept) - kept
     spurious = rng.integers(0, 256, len(inserted), dtype=np.uint8)
-    return np.insert(noisy[kept], before[inserted], spurious).tobytes()
+    kept = np.ones(len(clean), np.bool_)
+    kept[hits[kinds == 0]] = False
+    if loss:
+        kept &= ~_runs(rng, len(clean), loss)
+    # A byte that is lost has no other mishap.
+    flipped = flipped[kept[flipped]]
+    spurious, inserted = spurious[kept[inserted]], inserted[kept[inserted]]
+    # Positions in what is kept.
+    before: npt.NDArray[np.int64] = np.cumsum(kept) - kept
+    hit = np.insert(noisy[kept], before[inserted], spurious).tobytes()
+    return Damaged(hit, np.flatnonzero(~kept), inserted, flipped)
+
+
+def _runs(rng: np.random.Generator, length: int, share: float) -> npt.NDArray[np.bool_]:
+    """Mark runs of 1 to 63, 32 on average, that cover a share of a length."""
+    # Runs overlap: with s starts a position, exp(-32 s) of the positions stay free.
+    starts = -math.log1p(-share) / 32 if share < 1 else 1.0
+    first = np.flatnonzero(rng.random(length) < starts)
+    edges = np.zeros(length + 1, np.int64)
+    np.add.at(edges, first, 1)
+    np.add.at(edges, np.minimum(first + rng.integers(1, 64, len(first)), length), -1)
+    return np.cumsum(edges[:-1]) > 0

@@ -1,0 +1,1 @@
+"""Data where no adapter is: traffic, faults of a line, a virtual adapter."""

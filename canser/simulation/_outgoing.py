@@ -1,0 +1,310 @@
+"""What a simulated adapter sends: traffic and answers as bytes, accounted for to the byte."""
+
+import collections
+from collections.abc import Generator, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from canser.adapters import Report
+from canser.codec import decode, encode
+from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray
+from canser.simulation.traffic import damage
+
+__all__ = ["Block", "Counts", "Outgoing", "rounds"]
+
+# Frames that are encoded at once: some 50 KB, more than a terminal holds.
+_FRAMES = 4096
+
+_Places = npt.NDArray[np.int64]
+
+
+@dataclass(slots=True)
+class Counts:
+    """What has gone out. Law: bytes == encoded - lost + inserted."""
+
+    frames: int = 0  # damaged ones too
+    intact: int = 0  # of these, without a hit
+    encoded: int = 0
+    lost: int = 0
+    inserted: int = 0
+    flipped: int = 0
+
+    def add(self, other: "Counts") -> None:
+        """Add those of a block that is done."""
+        for name in self.__slots__:
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+
+
+class Block:
+    """Some frames as they go over the line. `sent` says how many bytes of `data` have gone."""
+
+    def __init__(
+        self,
+        frames: FrameArray,
+        protocol: str,
+        ts_unit: str,
+        *,
+        noise: float,
+        loss: float,
+        seed: tuple[int, int],
+    ) -> None:
+        clean = encode(frames, protocol, ts_unit=ts_unit)
+        starts = np.empty(len(frames), np.int64)
+        # Whoever decodes what was encoded finds where each frame begins.
+        found = decode(clean, protocol, ts_unit=ts_unit, offsets=starts)
+        assert len(found) == len(frames)
+        ends = np.append(starts[1:], len(clean))
+        self.frames = frames
+        self.sent = 0
+        self.due = np.maximum.accumulate(frames["ts"])
+        self._clean_ends = ends
+        none = np.empty(0, np.int64)
+        if not noise and not loss:
+            self.data = memoryview(clean)
+            self._lost = self._inserted = self._flipped = none
+            self.ends = ends
+            self._intact = np.arange(len(frames) + 1)
+            return
+        hit = damage(clean, noise=noise, loss=loss, seed=seed)
+        self.data = memoryview(hit.data)
+        before_lost = np.searchsorted(hit.lost, hit.lost)
+        self._lost = hit.lost - before_lost + np.searchsorted(hit.inserted, hit.lost)
+        self._inserted = _behind(hit.inserted, hit.lost) + np.arange(len(hit.inserted))
+        self._flipped = _behind(hit.flipped, hit.lost) + np.searchsorted(
+            hit.inserted, hit.flipped, "right"
+        )
+        self.ends = _behind(ends, hit.lost) + np.searchsorted(hit.inserted, ends)
+        # A byte that was added in front of a frame leaves it whole.
+        within = np.setdiff1d(hit.inserted, starts)
+        bad = np.concatenate((hit.lost, hit.flipped, within))
+        whole = np.ones(len(frames), np.int64)
+        whole[np.searchsorted(ends, bad, "right")] = 0
+        self._intact = np.append(0, np.cumsum(whole))
+
+    @property
+    def done(self) -> bool:
+        """Whether all of it has gone."""
+        return self.sent == len(self.data)
+
+    def boundary(self) -> int:
+        """Return where the frame ends that is going out; where nothing is, where it stands."""
+        if self.sent == 0:
+            return 0
+        return int(self.ends[np.searchsorted(self.ends, self.sent)])
+
+    def due_end(self, ts: int) -> int:
+        """Return where the last frame ends that is due at a time."""
+        count = int(np.searchsorted(self.due, ts, "right"))
+        return int(self.ends[count - 1]) if count else 0
+
+    def counts(self) -> Counts:
+        """Return what has gone out so far."""
+        lost, inserted, flipped = (
+            int(np.searchsorted(places, self.sent))
+            for places in (self._lost, self._inserted, self._flipped)
+        )
+        if self.done:
+            lost = len(self._lost)  # those behind the last byte too
+        encoded = self.sent + lost - inserted
+        frames = int(np.searchsorted(self._clean_ends, encoded, "right"))
+        return Counts(frames, int(self._intact[frames]), encoded, lost, inserted, flipped)
+
+    def counts_cut(self) -> Counts:
+        """Return what has gone out, with the rest of the frame that is going out as lost."""
+        counts = self.counts()
+        begin = self._clean_ends[counts.frames - 1] if counts.frames else 0
+        if counts.encoded > begin:
+            frame_end = int(self._clean_ends[counts.frames])
+            counts.lost += frame_end - counts.encoded
+            counts.encoded = frame_end
+            counts.frames += 1
+        return counts
+
+
+def _behind(places: _Places, lost: _Places) -> _Places:
+    """Return where bytes come to lie when the lost ones before them are gone."""
+    return places - np.searchsorted(lost, places)
+
+
+def rounds(traffic: FrameArray | Iterable[FrameArray], *, loop: bool) -> Generator[FrameArray]:
+    """Yield the frames of some traffic in arrays for a block each, for ever with `loop`.
+
+    Each round's times go on where the round before has ended.
+    """
+    shift = 0
+    while True:
+        count, first, last = 0, NO_TIME, NO_TIME
+        for part in [traffic] if isinstance(traffic, np.ndarray) else traffic:
+            for start in range(0, len(part), _FRAMES):
+                frames = part[start : start + _FRAMES]
+                timed = frames["ts"] != NO_TIME
+                if timed.any():
+                    times = frames["ts"][timed]
+                    first = int(times[0]) if first == NO_TIME else first
+                    last = max(last, int(times.max()))
+                if shift:
+                    frames = frames.copy()
+                    frames["ts"][timed] += shift
+                count += len(frames)
+                yield frames
+        if not loop or not count:
+            return
+        # The time between two frames is that between two rounds.
+        shift += (last - first) + (last - first) // max(count - 1, 1)
+
+
+class Outgoing:
+    """The bytes that are to go out: those of the traffic, and answers between two frames.
+
+    `timed`: the traffic goes out by its times. What `next` returns is offered, and what
+    `wrote` says of it has gone. `answering` counts the bytes of answers that wait.
+    """
+
+    def __init__(
+        self,
+        protocol: str,
+        traffic: FrameArray | Iterable[FrameArray],
+        *,
+        ts_unit: str,
+        loop: bool,
+        timed: bool,
+        noise: float,
+        loss: float,
+        seed: int,
+    ) -> None:
+        self._protocol, self._ts_unit = protocol, ts_unit
+        self._noise, self._loss, self._seed = noise, loss, seed
+        self._traffic = rounds(traffic, loop=loop)
+        self._timed = timed
+        self._first_ts: int | None = None
+        self._config: Report | None = None
+        self._rest: FrameArray | None = None  # of a block that was cut
+        self._chunk = np.empty(0, FRAME_DTYPE)  # what the block is made of
+        self._kept = np.empty(0, np.int64)  # the places in it of the block's frames
+        self._block: Block | None = None
+        self._blocks = 0
+        self._renewing = False  # at the end of the frame that is going out, the block is cut
+        self._answers: collections.deque[memoryview] = collections.deque()
+        self._answer_begun = False  # the first one is going out
+        self._answer_offered = False
+        self._done = Counts()
+        self.answering = 0
+        self.answered = 0
+
+    def counts(self) -> Counts:
+        """Return what of the traffic has gone out."""
+        counts = Counts()
+        counts.add(self._done)
+        if self._block is not None:
+            counts.add(self._block.counts())
+        return counts
+
+    def answer(self, packet: bytes) -> None:
+        """Send a packet between two frames, as soon as may be."""
+        self._answers.append(memoryview(packet))
+        self.answering += len(packet)
+
+    def configure(self, config: Report | None) -> None:
+        """Send only frames that pass the filter, behind the frame that is going out."""
+        self._config, self._renewing = config, True
+
+    def end(self) -> None:
+        """End the traffic behind the frame that is going out."""
+        self._traffic.close()
+        self._chunk, self._rest, self._renewing = self._chunk[:0], None, True
+
+    def close(self) -> None:
+        """Let go of the traffic."""
+        self._traffic.close()
+
+    def ready(self) -> bool:
+        """Return whether there is anything to send, now or later."""
+        return bool(self._answers) or self._load() is not None
+
+    def next(self, room: int, elapsed_ns: int) -> memoryview:
+        """Return the next bytes to send, `room` at most; none if none are due."""
+        between = self._block is None or self._block.sent == self._block.boundary()
+        self._answer_offered = bool(self._answers) and (between or self._answer_begun)
+        if self._answer_offered:
+            return self._answers[0][:room]
+        block = self._load()
+        if block is None:
+            return memoryview(b"")
+        end = block.boundary() if self._answers or self._renewing else len(block.data)
+        if self._timed and self._first_ts is not None:
+            end = min(end, max(block.sent, block.due_end(self._first_ts + elapsed_ns)))
+        return block.data[block.sent : min(end, block.sent + room)]
+
+    def wrote(self, count: int) -> None:
+        """Take note that so many bytes of those that were offered have gone."""
+        if self._answer_offered:
+            self.answered += count
+            self.answering -= count
+            rest = self._answers.popleft()[count:]
+            if rest:
+                self._answers.appendleft(rest)
+            self._answer_begun = bool(rest) and (count > 0 or self._answer_begun)
+        elif self._block is not None:
+            self._block.sent += count
+
+    def cut(self) -> None:
+        """Go on with the next frame; the rest of the one going out is lost, and all answers."""
+        self._cut()
+        self._answers.clear()
+        self._answer_begun, self.answering = False, 0
+
+    def _load(self) -> Block | None:
+        """Return the block to send from; None when all has gone."""
+        block = self._block
+        if self._renewing and block is not None and block.sent == block.boundary():
+            self._cut()
+        while self._block is None or self._block.done:
+            if self._block is not None:
+                self._done.add(self._block.counts())
+                self._block = None
+            self._renewing = False
+            frames, self._rest = self._rest, None
+            if frames is None:
+                frames = next(self._traffic, None)
+            if frames is None:
+                return None
+            self._encode(frames)
+        return self._block
+
+    def _cut(self) -> None:
+        """Take leave of the block; the frames behind the one going out are the rest."""
+        if self._block is not None:
+            counts = self._block.counts_cut()
+            self._done.add(counts)
+            if counts.frames < len(self._kept):
+                self._rest = self._chunk[self._kept[counts.frames] :]
+            self._block = None
+
+    def _encode(self, frames: FrameArray) -> None:
+        """Make the next block, of the frames that pass the filter."""
+        if self._timed and (frames["ts"] == NO_TIME).any():
+            raise ValueError("pace 'traffic' needs the times of all frames; use 'line' or 'max'")
+        if self._first_ts is None and len(frames):
+            self._first_ts = int(frames["ts"][0])
+        self._chunk, self._kept = frames, np.flatnonzero(self._passed(frames))
+        if not len(self._kept):
+            return
+        self._blocks += 1
+        self._block = Block(
+            frames[self._kept],
+            self._protocol,
+            self._ts_unit,
+            noise=self._noise,
+            loss=self._loss,
+            seed=(self._seed, self._blocks),
+        )
+
+    def _passed(self, frames: FrameArray) -> npt.NDArray[np.bool_]:
+        config = self._config
+        if config is None:
+            return np.ones(len(frames), np.bool_)
+        wanted, mask = np.uint32(config.filter_id or 0), np.uint32(config.filter_mask or 0)
+        passed: npt.NDArray[np.bool_] = (frames["id"] & mask) == (wanted & mask)
+        return passed & frames["ext"] if config.frame_type == "extended" else passed

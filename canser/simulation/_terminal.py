@@ -1,0 +1,219 @@
+"""A pseudo terminal, seen from the side of the device.
+
+Linux's rules that this module is built on: the terminal holds 12 to 20 KB, then takes no
+more and loses nothing. Closing the device's side throws away what the host has not read.
+In packet mode (ioctl_tty(2), TIOCPKT) the device is told when the host flushes its input.
+Only who holds a descriptor of the host's side can tell whether all was read, and with such
+a descriptor held, no hangup tells whether the host is there: inotify(7) does.
+"""
+
+import contextlib
+import ctypes
+import errno
+import os
+import select
+import struct
+import sys
+import time
+from pathlib import Path
+from typing import Final
+
+from canser.errors import PortError
+
+__all__ = ["Link", "Terminal"]
+
+_OPENED: Final = 0x20  # IN_OPEN
+_CLOSED: Final = 0x08 | 0x10  # IN_CLOSE_WRITE, IN_CLOSE_NOWRITE
+_EVENT: Final = struct.Struct("iIII")  # watch, mask, cookie, length of the name: none here
+
+# Two openings at once are one event, and then the second closing could be taken for the
+# last. So a host that is believed to be away is looked for, this often in seconds.
+_LOOK_EVERY: Final = 1.0
+
+
+class Terminal:
+    """A raw pseudo terminal; `path` is what the host opens.
+
+    Both sides are its own: hosts may come and go. Not blocking, for one thread. OSError
+    if the system has no terminal left, PortError where there are none at all.
+    """
+
+    def __init__(self) -> None:
+        if sys.platform == "win32":
+            raise PortError("there are no pseudo terminals on Windows; use Linux, macOS or WSL")
+        import fcntl  # noqa: PLC0415
+        import termios  # noqa: PLC0415
+
+        with contextlib.ExitStack() as opening:
+            self._device, self._host = os.openpty()
+            opening.callback(os.close, self._device)
+            self.path = os.ttyname(self._host)
+            opening.callback(lambda: os.close(self._host))
+            self._make_raw()
+            os.set_blocking(self._device, False)
+            os.set_blocking(self._host, False)
+            fcntl.ioctl(self._device, termios.TIOCPKT, struct.pack("i", 1))
+            self._flush_mark = termios.TIOCPKT_FLUSHREAD
+            self._watch = _Watch(self.path) if sys.platform == "linux" else None
+            opening.pop_all()
+        # Where nothing tells, the host is taken to be there.
+        self.open = self._watch is None
+        self._looked = time.monotonic()
+
+    def register(self, waiting: "select.poll", wanted: int) -> None:
+        """Have `waiting` wait for the host, at the terminal for `wanted`."""
+        waiting.register(self._device, wanted)
+        if self._watch is not None:
+            waiting.register(self._watch.fd, select.POLLIN)
+
+    def look(self, *, noticed: bool) -> bool:
+        """Find out whether a host has it `open`; return whether one has opened it just now.
+
+        `noticed`: something was waited for and has come.
+        """
+        if self._watch is None:
+            return False
+        seen = self._watch.read() if noticed else 0
+        if seen & _CLOSED or (not self.open and time.monotonic() > self._looked + _LOOK_EVERY):
+            before, self.open = self.open, self._probe()
+            # A host that closes and opens again may be too quick for the probe.
+            return self.open and (not before or bool(seen & _OPENED))
+        if seen & _OPENED:
+            self.open = True
+        return bool(seen & _OPENED)
+
+    def read(self) -> tuple[bytes, bool]:
+        """Return what the host has written, and whether it has flushed its input."""
+        try:
+            packet = os.read(self._device, 65_536)
+        except BlockingIOError:
+            return b"", False
+        # In packet mode the first byte tells: 0 for data, or a set of marks.
+        return (packet[1:], False) if packet[0] == 0 else (b"", bool(packet[0] & self._flush_mark))
+
+    def write(self, data: memoryview) -> int:
+        """Write what goes in; return how many bytes did."""
+        try:
+            return os.write(self._device, data)
+        except BlockingIOError:
+            return 0
+
+    def drained(self) -> bool:
+        """Return whether the host has read all that was written."""
+        # Polling waits for what the kernel has under way between the two sides; but the
+        # reader may just be asking it for more, so once is not enough.
+        for _ in range(3):
+            waiting = select.poll()
+            waiting.register(self._host, select.POLLIN)
+            if waiting.poll(0):
+                return False
+            time.sleep(0.001)
+        return True
+
+    def close(self) -> int:
+        """Hang up; return the bytes that were written and not read by the host."""
+        unread = 0
+        with contextlib.suppress(BlockingIOError):
+            while part := os.read(self._host, 65_536):
+                unread += len(part)
+        os.close(self._host)
+        os.close(self._device)
+        if self._watch is not None:
+            self._watch.close()
+        return unread
+
+    def _make_raw(self) -> None:
+        import termios  # noqa: PLC0415
+        import tty  # noqa: PLC0415
+
+        # Not tty.setraw's default, which throws away what waits.
+        tty.setraw(self._host, termios.TCSANOW)
+
+    def _probe(self) -> bool:
+        """Return whether a host has it open: if not, it hangs up without our own descriptor."""
+        import fcntl  # noqa: PLC0415
+        import termios  # noqa: PLC0415
+
+        assert self._watch is not None
+        self._watch.stop()
+        # A host's claim outlives it on a pseudo terminal: nobody could open it again.
+        fcntl.ioctl(self._host, termios.TIOCNXCL)
+        os.close(self._host)
+        hung = select.poll()
+        hung.register(self._device, 0)
+        there = not hung.poll(0)
+        self._host = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        self._watch.start()
+        if not there:
+            self._make_raw()  # whatever the last host has set
+        self._looked = time.monotonic()
+        return there
+
+
+class _Watch:
+    """The openings and closings of a file, by inotify, which Python does not wrap."""
+
+    def __init__(self, path: str) -> None:
+        self._libc = ctypes.CDLL(None, use_errno=True)
+        self._path = os.fsencode(path)
+        self.fd: int = self._libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
+        if self.fd < 0:
+            self._fail()
+        try:
+            self.start()
+        except OSError:
+            os.close(self.fd)
+            raise
+
+    def start(self) -> None:
+        self._number = self._libc.inotify_add_watch(self.fd, self._path, _OPENED | _CLOSED)
+        if self._number < 0:
+            self._fail()
+
+    def stop(self) -> None:
+        self._libc.inotify_rm_watch(self.fd, self._number)
+
+    def read(self) -> int:
+        """Return what has happened, any number of times, as a set of bits."""
+        seen = 0
+        with contextlib.suppress(BlockingIOError):
+            for _, mask, _, _ in _EVENT.iter_unpack(os.read(self.fd, 64 * _EVENT.size)):
+                seen |= mask
+        return seen
+
+    def close(self) -> None:
+        os.close(self.fd)
+
+    def _fail(self) -> None:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number), os.fsdecode(self._path))
+
+
+class Link:
+    """A name that stays while terminals come and go: a symbolic link. "" for none.
+
+    FileExistsError if there is something else of that name.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._path = Path(path) if path else None
+        self._target = ""
+
+    def point(self, target: str) -> None:
+        """Make it, or point it elsewhere, in one step."""
+        if self._path is None:
+            return
+        if self._path.exists() and not self._path.is_symlink():
+            raise FileExistsError(errno.EEXIST, "there already, and no link", str(self._path))
+        fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
+        fresh.symlink_to(target)
+        fresh.replace(self._path)
+        self._target = target
+
+    def remove(self) -> None:
+        """Remove it, unless somebody has pointed it elsewhere."""
+        if self._path is not None and self._target:
+            with contextlib.suppress(FileNotFoundError, OSError):
+                if os.readlink(self._path) == self._target:  # noqa: PTH115
+                    self._path.unlink()
+        self._target = ""
