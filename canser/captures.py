@@ -1,47 +1,43 @@
-"""Captures of raw bytes in files: read in place, of any size, in bounded memory."""
+"""Captures in files, raw bytes or recordings: read in place, of any size, in bounded memory."""
 
-import io
 import mmap
-import os
-import stat
+import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
-from typing import BinaryIO, Self, cast
+from typing import Self
 
 import numpy as np
 
+from canser import _input
 from canser._binding import (
-    BytesLike,
     Chunk,
     Offsets,
     Pointer,
     input_bytes,
     output_room,
 )
-from canser.codec import Decoder, check_threads, decode
+from canser._input import Input, Source
+from canser.codec import Decoder, check_threads, decode, protocols
+from canser.errors import CanserWarning
 from canser.frames import FRAME_DTYPE, FrameArray
+from canser.recordings.recorded import RecordedFrames
+from canser.recordings.recording import Recording, RecordingInfo, starts_recording
 
-__all__ = ["Blocks", "Source", "blocks", "read"]
-
-Source = str | os.PathLike[str] | BinaryIO
-
-# A file is mapped piece by piece, so that its pages do not add up in the process:
-# large enough that mapping costs nothing, small against any memory.
-_WINDOW = 8 << 20
-assert _WINDOW % mmap.ALLOCATIONGRANULARITY == 0
-
-# What is read at a time from what cannot be mapped, such as a pipe.
-_CHUNK = 1 << 18
+__all__ = ["Blocks", "NoProtocolError", "Source", "blocks", "read"]
 
 # Frames in a block where the caller gives no `out`: 1.5 MiB, which fits a cache.
 BLOCK_FRAMES = 1 << 16
 
 
+class NoProtocolError(ValueError):
+    """These are raw bytes, and nobody said in which protocol."""
+
+
 def blocks(
     path_or_file: Source,
-    protocol: str,
+    protocol: str | None = None,
     *,
-    ts_unit: str = "ms",
+    ts_unit: str | None = None,
     out: FrameArray | None = None,
     offsets: Offsets | None = None,
     threads: int = 1,
@@ -50,22 +46,31 @@ def blocks(
     """Decode a capture of any size, block by block.
 
     `path_or_file`: a path, or a file open for reading bytes, from where it stands. A
-    regular file is mapped, a piece at a time; a pipe is read as its bytes come.
+    regular file is mapped, a piece at a time; a pipe is read as its bytes come. What it
+    holds shows by its first bytes: a recording knows its protocol and its `ts_unit`, and
+    gives its frames host times, epoch nanoseconds; raw bytes need the `protocol`, and have
+    device times of `ts_unit`, "ms" if that is not given. What is given wins.
     Iterate over the result: each block is an array of FRAME_DTYPE, shape (n,), n >= 1.
     With `out` a block is `out[:n]`, good until the next; without, a new array.
     `offsets` goes with `out`: `offsets[:n]` are the stream offsets of the block.
-    `threads`: how many may work on a regular file; the frames are the same for any
-    number, and without `out` the blocks are cut elsewhere.
+    `threads`: how many may work on a regular file of raw bytes; the frames are the same for
+    any number, and without `out` the blocks are cut elsewhere.
     `progress` is called after each block with the bytes done and the bytes in all
     (None where nobody knows). `.decoder` has the stats and the control packets.
 
-    Errors as for `Decoder.feed_into`; OSError for a file that cannot be read.
+    Errors as for `Decoder.feed_into`; NoProtocolError, a ValueError, for raw bytes without
+    a protocol; RecordingError for pcapng that is none of canser's; OSError for a file that
+    cannot be read.
     """
     if offsets is not None and out is None:
         raise ValueError("offsets goes with out: give both")
     check_threads(threads)
-    decoder = Decoder(protocol, ts_unit=ts_unit)
-    return Blocks(path_or_file, decoder, out, offsets, threads=threads, progress=progress)
+    # A mistake shows here and not at the first block: nothing is opened.
+    if protocol is not None:
+        Decoder(protocol, ts_unit=ts_unit or "ms")
+    if out is not None:
+        Decoder(protocols()[0]).feed_into(b"", out, offsets)
+    return Blocks(path_or_file, protocol, ts_unit, out, offsets, threads=threads, progress=progress)
 
 
 class Blocks(Iterator[FrameArray]):
@@ -74,43 +79,35 @@ class Blocks(Iterator[FrameArray]):
     def __init__(
         self,
         path_or_file: Source,
-        decoder: Decoder,
+        protocol: str | None,
+        ts_unit: str | None,
         out: FrameArray | None,
         offsets: Offsets | None,
         *,
         threads: int,
         progress: Callable[[int, int | None], None] | None,
     ) -> None:
-        if out is not None:
-            # A mistake shows here and not at the first block: nothing is taken.
-            decoder.feed_into(b"", out, offsets)
-        self.decoder = decoder
-        self.bytes_done = 0
-        self.bytes_total: int | None = None  # None where nobody knows
+        self._protocol, self._ts_unit, self._threads = protocol, ts_unit, threads
         self._out, self._offsets, self._progress = out, offsets, progress
-        self._opened: BinaryIO | None = None
-        if isinstance(path_or_file, (str, os.PathLike)):
-            # Unbuffered: a pipe's bytes are handed on as they come.
-            self._opened = file = cast(BinaryIO, open(path_or_file, "rb", buffering=0))  # noqa: PTH123, SIM115
-        else:
-            file = path_or_file
-        size = _regular_size(file)
-        if size is None:
-            self._pieces = _read_pieces(file)
-        else:
-            start = file.tell()
-            self.bytes_total = max(size - start, 0)
-            self._pieces = _map_pieces(file, start, size)
-        self._mapped = size is not None
-        self._blocks = self._run()
-        if size is not None and threads > 1:
-            self._blocks = self._run_ahead(file, start, size, threads)
+        self._input = Input(path_or_file)
+        self.bytes_done = 0
+        self.bytes_total = self._input.total  # None where nobody knows
+        self._recorded: RecordedFrames | None = None
+        self._decoder: Decoder | None = None
+        self._blocks: Generator[FrameArray, None, None] | None = None
+        # A pipe that needs not be asked is not waited for.
+        if protocol is None or self._input.size is not None:
+            try:
+                self._begin()
+            except BaseException:
+                self._input.close()
+                raise
 
     def __iter__(self) -> Self:
         return self
 
     def __next__(self) -> FrameArray:
-        return next(self._blocks)
+        return next(self._begin())
 
     def __enter__(self) -> Self:
         return self
@@ -120,39 +117,82 @@ class Blocks(Iterator[FrameArray]):
 
     def close(self) -> None:
         """Close the file, if `blocks` opened it. Done by itself at the end."""
-        self._blocks.close()
-        if self._opened is not None:
-            self._opened.close()
+        if self._blocks is not None:
+            self._blocks.close()
+        self._input.close()
 
-    def _run_ahead(
-        self, file: BinaryIO, start: int, size: int, threads: int
-    ) -> Generator[FrameArray, None, None]:
+    @property
+    def decoder(self) -> Decoder:
+        """The decoder, for the stats and the control packets; a pipe is waited for."""
+        self._begin()
+        assert self._decoder is not None
+        return self._decoder
+
+    @property
+    def recording(self) -> RecordingInfo | None:
+        """What a recording knows of its line, None for raw bytes; a pipe is waited for."""
+        self._begin()
+        return None if self._recorded is None else self._recorded.info
+
+    @property
+    def remarks(self) -> list[str]:
+        """What a caller should know of a recording so far: what is damaged, what is lost."""
+        return [] if self._recorded is None else self._recorded.remarks
+
+    def _begin(self) -> Generator[FrameArray, None, None]:
+        """Look what the file holds, unless that is known; return the blocks."""
+        if self._blocks is None:
+            if starts_recording(self._input):
+                recording = Recording(self._input)
+                self._recorded = RecordedFrames(
+                    recording, self._protocol, self._ts_unit, live=self._input.size is None
+                )
+                self._decoder = self._recorded.decoder
+                self._blocks = self._run_recorded(self._recorded)
+            else:
+                protocol = _known(self._protocol, self._input)
+                self._decoder = Decoder(protocol, ts_unit=self._ts_unit or "ms")
+                ahead = self._input.size is not None and self._threads > 1
+                self._blocks = self._run_ahead() if ahead else self._run()
+        return self._blocks
+
+    def _run_recorded(self, recorded: RecordedFrames) -> Generator[FrameArray, None, None]:
+        """Yield the blocks of a recording."""
+        for out, count in recorded.run(self._room):
+            self.bytes_done = recorded.bytes_done
+            yield self._block(out, count)
+        self.bytes_done = recorded.bytes_done
+        self._input.close()
+
+    def _run_ahead(self) -> Generator[FrameArray, None, None]:
         """Yield the blocks that several threads make, and the last one as `_run` does."""
         decoder = self.decoder
         sink = _Fresh(decoder) if self._out is None else _Reused(decoder, self._out, self._offsets)
         # One map for all threads; its pages are given back as the stream goes by.
-        whole = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
-        kept = start - start % _WINDOW
-        for _ in decoder.run_ahead(input_bytes(memoryview(whole)[start:]), sink, threads):
+        whole = self._input.map_whole()
+        kept, start, window = 0, self._input.start, _input.WINDOW
+        for _ in decoder.run_ahead(input_bytes(whole), sink, self._threads):
             self.bytes_done = decoder.position
             for block in sink.take(last=False):
                 yield self._block(block, len(block))
-            if start + self.bytes_done - kept > 2 * _WINDOW and hasattr(mmap, "MADV_DONTNEED"):
-                whole.madvise(mmap.MADV_DONTNEED, kept, _WINDOW)
-                kept += _WINDOW
+            if start + self.bytes_done - kept > 2 * window and hasattr(mmap, "MADV_DONTNEED"):
+                mapped = whole.obj
+                assert isinstance(mapped, mmap.mmap)
+                mapped.madvise(mmap.MADV_DONTNEED, kept, window)
+                kept += window
         self.bytes_done = decoder.position
         for block in sink.take(last=True):
             yield self._block(block, len(block))
-        self._pieces = _map_pieces(file, start + self.bytes_done, size)
         yield from self._run(sink.begun)
 
     def _run(self, count: int = 0) -> Generator[FrameArray, None, None]:
-        """Yield the blocks of the pieces; `count` frames are in `out` already."""
+        """Yield the blocks of raw bytes; `count` frames are in `out` already."""
+        decoder = self.decoder
         out, at = self._room()
-        for piece in self._pieces:
+        while len(piece := self._input.some(self.bytes_done)):
             done = 0
             while done < len(piece):
-                used, more = self.decoder.feed_into(
+                used, more = decoder.feed_into(
                     piece[done:], out[count:], None if at is None else at[count:]
                 )
                 done += used
@@ -162,19 +202,18 @@ class Blocks(Iterator[FrameArray]):
                     yield self._block(out, count)
                     (out, at), count = self._room(), 0
             # Bytes of a pipe may be long in coming: do not sit on frames.
-            if count and not self._mapped:
+            if count and self._input.size is None:
                 yield self._block(out, count)
                 (out, at), count = self._room(), 0
         while True:
             if count < len(out):
-                count += self.decoder.flush_into(out[count:], None if at is None else at[count:])
+                count += decoder.flush_into(out[count:], None if at is None else at[count:])
             if count:
                 yield self._block(out, count)
                 (out, at), count = self._room(), 0
-            if not self.decoder.pending:
+            if not decoder.pending:
                 break
-        if self._opened is not None:
-            self._opened.close()
+        self._input.close()
 
     def _room(self) -> tuple[FrameArray, Offsets | None]:
         if self._out is None:
@@ -285,69 +324,80 @@ class _Reused:
 
 def read(
     path: Source,
-    protocol: str,
+    protocol: str | None = None,
     *,
-    ts_unit: str = "ms",
+    ts_unit: str | None = None,
     offsets: Offsets | None = None,
     threads: int = 1,
 ) -> FrameArray:
     """Decode a whole capture file into one new array.
 
-    `path`: a path, or a file open for reading bytes, from where it stands. The file is
-    mapped, never read as a whole. Returns FRAME_DTYPE, shape (n,). `ts_unit`,
-    `offsets`, `threads` and errors as for `decode`; OSError for a file that cannot be
-    read. For files larger than memory, and for the counters, use `blocks`.
+    `path`: a path, or a file open for reading bytes, from where it stands: raw bytes or a
+    recording, with `protocol` and `ts_unit` as for `blocks`. The file is mapped, never read
+    as a whole. Returns FRAME_DTYPE, shape (n,). `offsets`, `threads` and errors as for
+    `decode` and `blocks`. What a recording has lost, or where it is damaged, is a
+    CanserWarning. For files larger than memory, and for the counters, use `blocks`.
     """
     check_threads(threads)
-    if not isinstance(path, (str, os.PathLike)):
-        return _read_file(path, protocol, ts_unit, offsets, threads)
-    with open(path, "rb", buffering=0) as file:  # noqa: PTH123
-        return _read_file(cast(BinaryIO, file), protocol, ts_unit, offsets, threads)
+    with Input(path) as source:
+        if starts_recording(source):
+            return _read_recording(source, protocol, ts_unit, offsets)
+        known = _known(protocol, source)
+        data = source.map_whole() if source.size is not None else _read_whole(source)
+        return decode(data, known, ts_unit=ts_unit or "ms", offsets=offsets, threads=threads)
 
 
-def _read_file(
-    file: BinaryIO, protocol: str, ts_unit: str, offsets: Offsets | None, threads: int
+def _known(protocol: str | None, source: Input) -> str:
+    """Return the protocol of raw bytes, or raise NoProtocolError."""
+    if protocol is None:
+        raise NoProtocolError(
+            f"{source.name} holds raw bytes: name their protocol ({', '.join(protocols())}); "
+            "canser.identify tells which fits"
+        )
+    return protocol
+
+
+def _read_whole(source: Input) -> bytes:
+    """Return all bytes of a file that cannot be mapped."""
+    pieces: list[memoryview] = []
+    at = 0
+    while len(piece := source.some(at)):
+        pieces.append(piece)
+        at += len(piece)
+    return b"".join(pieces)
+
+
+def _read_recording(
+    source: Input, protocol: str | None, ts_unit: str | None, offsets: Offsets | None
 ) -> FrameArray:
-    size = _regular_size(file)
-    if size is None:
-        data: BytesLike = file.read()
-    elif size <= (start := file.tell()):
-        data = b""  # nothing is there to be mapped
-    else:
-        whole = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
-        data = memoryview(whole)[start:]
-    return decode(data, protocol, ts_unit=ts_unit, offsets=offsets, threads=threads)
+    recorded = RecordedFrames(Recording(source), protocol, ts_unit, live=False)
+    whole, count = np.empty(BLOCK_FRAMES, FRAME_DTYPE), 0
+    at = np.empty(BLOCK_FRAMES, np.int64)
 
+    def room() -> tuple[FrameArray, Offsets]:
+        nonlocal whole
+        if len(whole) - count < BLOCK_FRAMES:
+            # The frames so far tell how many there will be; where nobody knows the size of
+            # the file, or the rest is denser than they were, this happens again.
+            done = recorded.decoder.position
+            expected = int(count * (source.total or 2 * done) / done * 1.02)
+            larger = np.empty(max(expected, count) + BLOCK_FRAMES, FRAME_DTYPE)
+            larger[:count] = whole[:count]
+            whole = larger
+        return whole[count : count + BLOCK_FRAMES], at
 
-def _regular_size(file: BinaryIO) -> int | None:
-    """Return the size of a file that can be mapped, None for any other."""
-    # Others may have a descriptor too, and give other bytes than it: gzip's, say.
-    if not isinstance(getattr(file, "raw", file), io.FileIO):
-        return None
-    try:
-        status = os.fstat(file.fileno())
-    except (AttributeError, OSError):  # io.UnsupportedOperation is an OSError
-        return None
-    return status.st_size if stat.S_ISREG(status.st_mode) else None
-
-
-def _map_pieces(file: BinaryIO, start: int, size: int) -> Iterator[memoryview]:
-    """Yield the bytes of a regular file as windows of it."""
-    for window in range(start - start % _WINDOW, size, _WINDOW):
-        length = min(_WINDOW, size - window)
-        # The map goes when nobody holds the view any more.
-        piece = mmap.mmap(file.fileno(), length, access=mmap.ACCESS_READ, offset=window)
-        yield memoryview(piece)[max(start - window, 0) :]
-
-
-def _read_pieces(file: BinaryIO) -> Iterator[memoryview]:
-    """Yield the bytes of any other file as they come."""
-    # One read() of the system each, so that a pipe's bytes are not waited for.
-    take = getattr(file, "readinto1", None) or getattr(file, "readinto", None)
-    if take is None:
-        while data := file.read(_CHUNK):
-            yield memoryview(data)
-        return
-    room = bytearray(_CHUNK)
-    while count := take(room):
-        yield memoryview(room)[:count]
+    for _, more in recorded.run(room):
+        if offsets is not None:
+            fits = max(min(more, len(offsets) - count), 0)
+            offsets[count : count + fits] = at[:fits]
+        count += more
+    if offsets is not None and count > len(offsets):
+        raise ValueError(
+            f"offsets has room for {len(offsets)} frames, but the data holds {count}; "
+            f"make room for at least {count}"
+        )
+    for remark in recorded.remarks:
+        warnings.warn(f"{source.name}: {remark}", CanserWarning, stacklevel=3)
+    # Given back, not copied: nobody else has seen the array.
+    whole.resize(count, refcheck=False)
+    return whole

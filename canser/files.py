@@ -11,6 +11,7 @@ from canser.codec import Decoder
 from canser.errors import StreamClosedError
 from canser.formats import BY_SUFFIX
 from canser.frames import FrameArray
+from canser.recordings.recording import RecordingInfo
 
 __all__ = ["FORMATS", "RAW", "FrameFile", "format_of"]
 
@@ -31,9 +32,10 @@ def format_of(path: str, given: str | None = None) -> str:
 class FrameFile(Iterator[FrameArray]):
     """The frames of a file, "-" for the standard input: an iterator of blocks.
 
-    `file_format`: one of FORMATS. Raw bytes need their `protocol`, and keep their
-    decoder in `.decoder`, for the stats and the control packets. `progress` is called
-    with the bytes done and in all. A context manager.
+    `file_format`: one of FORMATS. Raw bytes need their `protocol`, else NoProtocolError; a
+    recording among them knows it. Both keep their decoder in `.decoder`, for the stats and
+    the control packets, and a recording what it tells in `.recording` and `.remarks`.
+    `progress` is called with the bytes done and in all. A context manager.
     """
 
     def __init__(
@@ -42,19 +44,18 @@ class FrameFile(Iterator[FrameArray]):
         file_format: str,
         *,
         protocol: str | None = None,
-        ts_unit: str = "ms",
+        ts_unit: str | None = None,
         progress: Callable[[int, int | None], None] | None = None,
     ) -> None:
         self.name = "standard input" if path == "-" else path
         self.decoder: Decoder | None = None
+        self.recording: RecordingInfo | None = None
         self._blocks: Iterator[FrameArray]
         with contextlib.ExitStack() as opening:
             file = _standard_input() if path == "-" else opening.enter_context(open(path, "rb"))  # noqa: PTH123
             if file_format == RAW:
-                if protocol is None:
-                    raise ValueError(f"{self.name} holds raw bytes; they need a protocol")
-                raw: Blocks = blocks(file, protocol, ts_unit=ts_unit, progress=progress)
-                self.decoder, self._blocks = raw.decoder, raw
+                raw = blocks(file, protocol, ts_unit=ts_unit, progress=progress)
+                self.decoder, self.recording, self._blocks = raw.decoder, raw.recording, raw
             else:
                 self._blocks = BY_SUFFIX[f".{file_format}"].read(file, self.name)
             self._stack = opening.pop_all()
@@ -67,6 +68,11 @@ class FrameFile(Iterator[FrameArray]):
 
     def __enter__(self) -> Self:
         return self
+
+    @property
+    def remarks(self) -> list[str]:
+        """What to know of a recording so far: what is damaged, what is lost."""
+        return self._blocks.remarks if isinstance(self._blocks, Blocks) else []
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()

@@ -6,9 +6,10 @@ from typing import Final
 
 from canser.codec import Control, Stats
 from canser.identify import Fit
+from canser.recordings.recording import RecordingInfo
 from canser.tally import Clock, Tally
 
-__all__ = ["conservation", "fit_lines", "info_lines", "reject_text"]
+__all__ = ["conservation", "fit_lines", "info_lines", "recording_lines", "reject_text"]
 
 
 # Nanoseconds since 1970: a time this late is no device's counter.
@@ -38,6 +39,13 @@ def fit_lines(fits: list[Fit]) -> Iterator[str]:
             f"{fit.protocol:10} {fit.score:6.1%} {fit.explained:10.1%} {fit.chance:10.1%} "
             f"{fit.stats.frames:8,} {fit.stats.resyncs:8,}"
         )
+
+
+def recording_lines(info: RecordingInfo) -> Iterator[str]:
+    """Yield what a recording tells of its line."""
+    yield f"recording  {info.protocol} from {info.device}, {info.baudrate:,} baud"
+    if info.bitrate is not None:
+        yield f"bus        {info.bitrate:,} bit/s"
 
 
 def info_lines(tally: Tally, stats: Stats | None, controls: list[Control]) -> Iterator[str]:

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import canser
-from canser import captures
+from canser import _input, captures
 from canser.frames import FRAME_DTYPE, FrameArray
-from canser.traffic import line_noise, vehicle
+from canser.simulation.traffic import line_noise, vehicle
 
 PROTOCOLS = canser.protocols()
 
@@ -49,7 +49,7 @@ def test_blocks_add_up_to_the_whole(
     protocol: str, window: int, room: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Windows of a page or so: packets lie across their borders.
-    monkeypatch.setattr(captures, "_WINDOW", window * mmap.ALLOCATIONGRANULARITY)
+    monkeypatch.setattr(_input, "WINDOW", window * mmap.ALLOCATIONGRANULARITY)
     path, want = capture_of(protocol, tmp_path, 0.5 if room == 1 else 3)
     out = None if room is None else np.empty(room, FRAME_DTYPE)
     with canser.blocks(path, protocol, out=out) as run:

@@ -6,8 +6,8 @@ import canser
 from canser import report
 from canser.codec import Control, Stats
 from canser.frames import FrameArray
+from canser.simulation.traffic import vehicle
 from canser.tally import Tally
-from canser.traffic import vehicle
 from reference import NO_TIME, Frame
 from samples import EPOCH, MILLISECOND, SECOND, array, timed
 

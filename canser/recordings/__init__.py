@@ -1,0 +1,1 @@
+"""Recordings of raw bytes with their times: written, read, repaired."""

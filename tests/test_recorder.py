@@ -1,0 +1,404 @@
+"""Bytes in, files out: no port, and no clock but the one that the tests make."""
+
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import canser
+import canser.recordings.recorder
+import shared  # noqa: F401 - Hypothesis' settings
+from canser.recordings.recorder import Recorder
+from canser.recordings.recording import Recording, RecordingInfo
+from canser.simulation.traffic import vehicle
+
+INFO = RecordingInfo("seeed", 2_000_000, 500_000, "ms", "/dev/test")
+MS = 1_000_000
+SECOND = 1_000 * MS
+START = 1_700_000_000 * SECOND
+
+RAW = canser.encode(vehicle(1.5), "seeed")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _quick_disk() -> Iterator[None]:
+    """Let nothing be written through: here it is about which bytes go where."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in {"fsync", "fdatasync"} & set(dir(os)):
+            patch.setattr(os, name, lambda _: None)
+        yield
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def content(path: Path) -> bytes:
+    with Recording(path) as recording:
+        raw = b"".join(bytes(piece.data) for piece in recording)
+        assert recording.remarks == []
+    return raw
+
+
+def packets(raw: bytes) -> list[int]:
+    """Return where packets end, 0 in front of them."""
+    starts = np.empty(len(raw), np.int64)
+    count = len(canser.decode(raw, "seeed", offsets=starts))
+    return [*starts[:count].tolist(), len(raw)]
+
+
+ENDS = packets(RAW)
+
+
+def border(offset: int) -> int:
+    """Return the last end of a packet that is not behind an offset."""
+    return ENDS[int(np.searchsorted(ENDS, offset, side="right")) - 1]
+
+
+def feed(
+    recorder: Recorder,
+    raw: bytes = RAW,
+    *,
+    step: int = 1000,
+    every: int = 50 * MS,
+    triggers: Iterable[int] = (),
+) -> None:
+    """Feed bytes in pieces, as a port does; triggers are milliseconds since the start."""
+    waiting = sorted(START + ms * MS for ms in triggers)
+    done = 0
+    for number, begin in enumerate(range(0, len(raw), step)):
+        ns = START + (number + 1) * every
+        piece = raw[begin : begin + step]
+        recorder.write(memoryview(piece), ns)
+        done += len(piece)
+        due = [ts for ts in waiting if ts <= ns]
+        waiting = waiting[len(due) :]
+        recorder.advance(border(done), ns, due)
+
+
+def test_one_file_holds_all_bytes_and_their_times(tmp_path: Path) -> None:
+    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO)
+    assert names(tmp_path) == []
+    recorder.start(START)
+    feed(recorder)
+    recorder.close()
+    recorder.close()
+    assert names(tmp_path) == ["run.pcapng"]
+    assert content(tmp_path / "run.pcapng") == RAW
+    assert recorder.bytes_in == recorder.bytes_recorded == len(RAW)
+    assert recorder.bytes_passed == 0
+    with Recording(tmp_path / "run.pcapng") as recording:
+        assert recording.info == INFO
+        arrivals = [piece.arrival_ns for piece in recording]
+    last = START + -(-len(RAW) // 1000) * 50 * MS
+    assert arrivals[-1] == last
+    assert arrivals == sorted(arrivals)
+    assert [(event.kind, Path(event.path).name) for event in recorder.events] == [
+        ("opened", "run.pcapng"),
+        ("closed", "run.pcapng"),
+    ]
+
+
+@settings(max_examples=20)
+@given(
+    step=st.integers(1, 3000),
+    size=st.integers(1500, 12_000),
+    period=st.none() | st.integers(1, 900),
+)
+def test_files_by_turns_lose_no_byte_and_cut_no_frame(
+    tmp_path_factory: pytest.TempPathFactory, step: int, size: int, period: int | None
+) -> None:
+    folder = tmp_path_factory.mktemp("turns")
+    raw = RAW[: ENDS[800]]
+    recorder = Recorder(
+        str(folder / "run.pcapng"),
+        INFO,
+        size=size,
+        period_ns=None if period is None else period * MS,
+    )
+    recorder.start(START)
+    feed(recorder, raw, step=step)
+    recorder.close()
+    files = sorted(folder.iterdir())
+    assert [file.name for file in files] == [
+        f"run-{number + 1:06}.pcapng" for number in range(len(files))
+    ]
+    parts = [content(file) for file in files]
+    assert b"".join(parts) == raw
+    assert recorder.bytes_recorded == len(raw)
+    # One round may hold more than a file: then a file ends where it must.
+    if step + 20 < size - 1100:
+        for part in parts:
+            decoder = canser.Decoder("seeed")
+            decoder.feed(part)
+            assert (decoder.stats.bytes_skipped, decoder.pending) == (0, 0)
+        assert all(file.stat().st_size <= size for file in files)
+
+
+def test_a_round_that_is_larger_than_a_file(tmp_path: Path) -> None:
+    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, size=5_000)
+    recorder.start(START)
+    for number in range(20):
+        recorder.write(bytes([number]) * 1_000, START + number * MS)
+    recorder.advance(20_000, START + 20 * MS)
+    recorder.close()
+    assert b"".join(content(path) for path in sorted(tmp_path.iterdir())) == b"".join(
+        bytes([number]) * 1_000 for number in range(20)
+    )
+    assert all(path.stat().st_size <= 5_000 for path in tmp_path.iterdir())
+
+
+def test_time_turns_without_size(tmp_path: Path) -> None:
+    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, period_ns=200 * MS)
+    recorder.start(START)
+    feed(recorder, RAW[: ENDS[800]])
+    recorder.close()
+    spans = []
+    for path in sorted(tmp_path.iterdir()):
+        with Recording(path) as recording:
+            times = [piece.arrival_ns for piece in recording]
+        spans.append(times[-1] - times[0])
+    assert len(spans) >= 2
+    assert max(spans) <= 200 * MS
+    assert b"".join(content(path) for path in sorted(tmp_path.iterdir())) == RAW[: ENDS[800]]
+
+
+def test_keep_deletes_the_oldest_of_this_run_only(tmp_path: Path) -> None:
+    old = tmp_path / "run-000007.pcapng"
+    old.write_text("old")
+    other = tmp_path / "run-1.pcapng"
+    other.write_text("other")
+    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, size=3_000, keep=2)
+    recorder.start(START)
+    feed(recorder, step=500)
+    # One that somebody has moved away is no error.
+    Path(recorder.file).unlink()
+    feed(recorder, RAW, step=500)
+    recorder.close()
+    left = [name for name in names(tmp_path) if name not in (old.name, other.name)]
+    assert len(left) == 2
+    assert (old.read_text(), other.read_text()) == ("old", "other")
+    made = [Path(event.path).name for event in recorder.events if event.kind == "opened"]
+    gone = [Path(event.path).name for event in recorder.events if event.kind == "deleted"]
+    assert made[0] == "run-000008.pcapng"
+    assert gone == made[:-2]
+    assert left == made[-2:]
+
+
+def test_numbers_that_somebody_else_takes_are_left_out(tmp_path: Path) -> None:
+    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, size=20_000)
+    (tmp_path / "run-000001.pcapng").write_text("theirs")
+    recorder.start(START)
+    feed(recorder, RAW[:1000])
+    recorder.close()
+    assert (tmp_path / "run-000001.pcapng").read_text() == "theirs"
+    assert content(tmp_path / "run-000002.pcapng") == RAW[:1000]
+
+
+def test_force_replaces_and_counts_from_one(tmp_path: Path) -> None:
+    for name in ("run.pcapng", "run-000001.pcapng", "run-000009.pcapng"):
+        (tmp_path / name).write_text("old")
+    for size in (None, 1 << 20):
+        recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, force=True, size=size)
+        recorder.start(START)
+        feed(recorder)
+        recorder.close()
+    assert content(tmp_path / "run.pcapng") == content(tmp_path / "run-000001.pcapng") == RAW
+    assert (tmp_path / "run-000009.pcapng").read_text() == "old"
+
+
+def test_paths_that_will_not_do(tmp_path: Path) -> None:
+    there = tmp_path / "run.pcapng"
+    there.write_text("old")
+    with pytest.raises(FileExistsError, match=r"run\.pcapng is there already; --force"):
+        Recorder(str(there), INFO)
+    with pytest.raises(ValueError, match=r"run\.bin is no name of a recording; .* \.pcapng"):
+        Recorder(str(tmp_path / "run.bin"), INFO)
+    with pytest.raises(FileNotFoundError):
+        Recorder(str(tmp_path / "nowhere" / "run.pcapng"), INFO)
+    (tmp_path / "folder.pcapng").mkdir()
+    with pytest.raises(FileExistsError, match="is no file"):
+        Recorder(str(tmp_path / "folder.pcapng"), INFO, force=True)
+    assert there.read_text() == "old"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"size": 0}, {"period_ns": 0}, {"keep": 2}, {"size": 9, "keep": 0}, {"window_ns": (-1, 0)}],
+    ids=str,
+)
+def test_values_that_make_no_sense(tmp_path: Path, wrong: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"it must be|give their size|are 0 or more"):
+        Recorder(str(tmp_path / "run.pcapng"), INFO, **wrong)  # type: ignore[arg-type]
+
+
+def test_lost_bytes_stand_where_they_are_missing(tmp_path: Path) -> None:
+    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO)
+    recorder.start(START)
+    recorder.write(b"one", START, 0)
+    recorder.write(b"two", START + MS, 17)
+    recorder.write(b"three", START + 2 * MS, -1)
+    recorder.advance(5, START + 2 * MS)  # in the middle of the second
+    recorder.close()
+    with Recording(tmp_path / "run.pcapng") as recording:
+        found = [(bytes(piece.data), piece.lost) for piece in recording]
+    assert found == [(b"one", 0), (b"two", 17), (b"three", -1)]
+
+
+# Triggers
+
+
+def windows(times: list[int], before: int, after: int) -> list[tuple[int, int]]:
+    """Return what surrounds times, joined where it touches, in plain Python."""
+    joined: list[tuple[int, int]] = []
+    for time in sorted(times):
+        begin, end = time - before, time + after
+        if joined and begin <= joined[-1][1]:
+            joined[-1] = (joined[-1][0], max(end, joined[-1][1]))
+        else:
+            joined.append((begin, end))
+    return joined
+
+
+@settings(max_examples=40)
+@given(
+    times=st.lists(st.integers(50, 1400), max_size=5),
+    before=st.integers(0, 400),
+    after=st.integers(0, 400),
+    step=st.integers(100, 1500),
+)
+def test_what_surrounds_triggers_is_there_and_little_more(
+    tmp_path_factory: pytest.TempPathFactory,
+    times: list[int],
+    before: int,
+    after: int,
+    step: int,
+) -> None:
+    folder = tmp_path_factory.mktemp("triggers")
+    raw = RAW[: ENDS[1500]]
+    recorder = Recorder(str(folder / "e.pcapng"), INFO, window_ns=(before * MS, after * MS))
+    recorder.start(START)
+    every = 20 * MS
+    feed(recorder, raw, step=step, every=every, triggers=times)
+    recorder.close()
+    assert recorder.bytes_in == recorder.bytes_recorded + recorder.bytes_passed == len(raw)
+    ended = (-(-len(raw) // step)) * 20
+    seen = [time for time in times if time <= ended]
+    assert recorder.triggers == len(seen)
+    # Each file is one unbroken part of the stream, cut between packets, in order.
+    spans = []
+    done = 0
+    for path in sorted(folder.iterdir()):
+        part = content(path)
+        at = raw.find(part, done)
+        assert at >= done
+        assert at in ENDS
+        assert at + len(part) in ENDS
+        done = at + len(part)
+        spans.append((at, done))
+    assert sum(end - begin for begin, end in spans) == recorder.bytes_recorded
+    # All that came within a window is in a file; what came two rounds away from all is in
+    # none. (A piece ends with a part of a packet: what settles was there a bit earlier.)
+    wanted = windows(seen, before, after)
+    for number, begin in enumerate(range(0, len(raw), step)):
+        ms = (number + 1) * 20
+        byte = border(min(begin + step, len(raw))) - 1
+        if byte < begin:
+            continue
+        inside = any(start <= byte < end for start, end in spans)
+        if ms in seen or any(start < ms <= end for start, end in wanted):
+            assert inside
+        if not any(start - 40 <= ms <= end + 40 for start, end in wanted):
+            assert not inside
+
+
+def test_triggers_whose_surroundings_touch_share_a_file(tmp_path: Path) -> None:
+    recorder = Recorder(str(tmp_path / "e.pcapng"), INFO, window_ns=(200 * MS, 100 * MS))
+    # The second begins 250 ms behind the first one's end, the third 100 ms behind the second's.
+    feed(recorder, RAW, step=200, every=10 * MS, triggers=[300, 850, 1050])
+    recorder.close()
+    assert names(tmp_path) == ["e-000001.pcapng", "e-000002.pcapng"]
+    assert [event.ts for event in recorder.events if event.kind == "trigger"] == [
+        START + ms * MS for ms in (300, 850, 1050)
+    ]
+    second = content(tmp_path / "e-000002.pcapng")
+    assert second in RAW
+    assert len(second) >= (850 - 650 + 1150 - 850) // 10 * 200 - 200
+
+
+def test_without_a_trigger_there_is_no_file(tmp_path: Path) -> None:
+    recorder = Recorder(str(tmp_path / "e.pcapng"), INFO, window_ns=(SECOND, SECOND))
+    recorder.start(START)
+    feed(recorder)
+    assert not recorder.recording
+    recorder.close()
+    assert names(tmp_path) == []
+    assert (recorder.bytes_recorded, recorder.bytes_passed) == (0, len(RAW))
+
+
+def test_what_waits_for_a_trigger_is_bounded_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(canser.recordings.recorder, "MEMORY", 6_000)
+    recorder = Recorder(str(tmp_path / "e.pcapng"), INFO, window_ns=(3600 * SECOND, 0))
+    feed(recorder, RAW[: ENDS[1000]], step=500)
+    assert recorder.out_of_memory
+    # Each round is two pieces, which take some memory besides their bytes.
+    assert 2_500 <= recorder.bytes_in - recorder.bytes_passed <= 5_000
+    recorder.advance(recorder.bytes_in, START + SECOND, [START + SECOND])
+    recorder.close()
+    part = content(tmp_path / "e-000001.pcapng")
+    assert part
+    assert RAW[: ENDS[1000]].endswith(part)
+    assert recorder.bytes_passed + recorder.bytes_recorded == ENDS[1000]
+
+
+def test_long_events_are_cut_by_size(tmp_path: Path) -> None:
+    recorder = Recorder(
+        str(tmp_path / "e.pcapng"), INFO, window_ns=(0, 3600 * SECOND), size=5_000, keep=3
+    )
+    feed(recorder, step=500, triggers=[100])
+    recorder.close()
+    left = sorted(tmp_path.iterdir())
+    assert len(left) == 3
+    assert RAW.endswith(b"".join(content(path) for path in left))
+
+
+def test_arrival_of_a_byte(tmp_path: Path) -> None:
+    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO)
+    recorder.start(START)
+    for number in range(3):
+        recorder.write(bytes(10), START + number)
+    assert [recorder.arrival_of(offset) for offset in (0, 9, 10, 29)] == [
+        START, START, START + 1, START + 2,
+    ]  # fmt: skip
+    recorder.advance(15, START)
+    assert [recorder.arrival_of(offset) for offset in (15, 20)] == [START + 1, START + 2]
+    recorder.close()
+
+
+@pytest.mark.parametrize("turns", [False, True])
+def test_a_full_disk_leaves_a_good_file_and_ends_it(tmp_path: Path, turns: bool) -> None:
+    resource = pytest.importorskip("resource")
+    more = {"size": 100_000} if turns else {}
+    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, **more)  # type: ignore[arg-type]
+    recorder.start(START)
+    bounds = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (8_000, bounds[1]))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            feed(recorder, every=300 * MS)
+        full = recorder.bytes_recorded
+        recorder.write(b"more", START)
+        recorder.advance(recorder.bytes_in, START)
+        recorder.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, bounds)
+    assert 5_000 <= full == recorder.bytes_recorded <= 8_000
+    (path,) = tmp_path.iterdir()
+    assert content(path) == RAW[:full]
+    assert os.path.getsize(path) <= 8_000  # noqa: PTH202
