@@ -7,6 +7,7 @@ import signal
 import struct
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +16,8 @@ import numpy as np
 import pytest
 
 import canser
-from canser.traffic import line_noise, vehicle
+from canser.commands import ALL
+from canser.simulation.traffic import line_noise, vehicle
 
 GOOD, BAD_DATA, BAD_CALL = 0, 1, 2
 
@@ -92,7 +94,9 @@ def test_version(captures: Path) -> None:
     assert done.stdout.decode().startswith("canser 0.")
 
 
-@pytest.mark.parametrize("arguments", [[], ["convert"], ["info"], ["dump"]], ids=" ".join)
+@pytest.mark.parametrize(
+    "arguments", [[], *([module.__name__.split(".")[-1]] for module in ALL)], ids=" ".join
+)
 def test_help_has_examples_and_fits_80_columns(captures: Path, arguments: list[str]) -> None:
     done = run(captures, *arguments, "--help", COLUMNS="80")
     assert (done.returncode, done.stderr) == (GOOD, b"")
@@ -459,7 +463,10 @@ def test_a_stream_that_is_closed_is_an_error_of_one_line(
 def test_a_named_pipe_is_not_called_empty(tmp_path: Path) -> None:
     """As in `canser info <(zcat run.bin.gz)`: it can be read only once."""
     os.mkfifo(tmp_path / "fifo")
+    thread = threading.Thread(target=(tmp_path / "fifo").write_bytes, args=(STATUS,))
+    thread.start()
     assert_fails(run(tmp_path, "info", "fifo"), BAD_CALL, "fifo", "only once", "-p")
+    thread.join()
 
 
 @posix

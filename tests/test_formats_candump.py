@@ -201,3 +201,24 @@ def test_what_python_can_writes_is_read() -> None:
 def test_a_line_without_an_end_is_an_error_and_not_all_of_memory() -> None:
     with pytest.raises(FormatError, match=r"line 2: has no end; is it raw bytes\?"):
         list(candump.read(io.BytesIO(b"(0.0) can0 123#\n" + bytes(1 << 20)), "x.log"))
+
+
+def test_frames_of_texts() -> None:
+    frames = candump.frames_of(
+        ["123#DEADBEEF", "18FEF100#", "123#R8", "20000080#00", "7ff#01.02.ff"]
+    )
+    assert frames["id"].tolist() == [0x123, 0x18FEF100, 0x123, 0x80, 0x7FF]
+    assert frames["ext"].tolist() == [False, True, False, False, False]
+    assert frames["rtr"].tolist() == [False, False, True, False, False]
+    assert frames["err"].tolist() == [False, False, False, True, False]
+    assert frames["dlc"].tolist() == [4, 0, 8, 1, 3]
+    assert frames["data"][0].tobytes() == bytes.fromhex("DEADBEEF 00000000")
+    assert frames["data"][4].tobytes() == bytes.fromhex("0102FF 0000000000")
+    assert (frames["ts"] == NO_TIME).all()
+    assert len(candump.frames_of([])) == 0
+
+
+@pytest.mark.parametrize("text", ["", "123", "12#00", "123#0", "123#GG", "800#", "123##0", "1234#"])
+def test_texts_that_are_no_frame(text: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(repr(text))}"):
+        candump.frames_of(["123#00", text])

@@ -13,7 +13,7 @@ known is written as 0. `Writer` counts both.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import BinaryIO
 
 import numpy as np
@@ -25,12 +25,13 @@ from canser.frames import NO_TIME, FrameArray
 
 _ERR = 0x2000_0000
 
-_LINE = re.compile(
-    r"\((?P<ts>[^)]*)\)\s+(?P<channel>\S+)\s+"
+_FRAME_PATTERN = (
     r"(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
     r"(?:(?P<rtr>[Rr])(?P<dlc>[0-8])?|(?P<data>(?:[0-9A-Fa-f]{2}\.?)*))"
-    r"(?:_[0-9A-Fa-f])?(?:\s+[RT])?"
+    r"(?:_[0-9A-Fa-f])?"
 )
+_FRAME = re.compile(_FRAME_PATTERN)
+_LINE = re.compile(rf"\((?P<ts>[^)]*)\)\s+(?P<channel>\S+)\s+{_FRAME_PATTERN}(?:\s+[RT])?")
 
 
 class Writer:
@@ -94,16 +95,49 @@ def _rows(file: BinaryIO, name: str) -> Iterator[_text.Row]:
     for number, text in _text.lines(file, name):
         found = _LINE.fullmatch(text)
         if not found:
-            kind = "CAN FD or CAN XL" if "##" in text else "no frame"
             raise FormatError(
-                f"{name}, line {number}: {text[:60]!r} is {kind}; "
+                f"{name}, line {number}: {text[:60]!r} is {_kind(text)}; "
                 "canser reads lines such as (1544106679.432583) can0 562#122DF953"
             )
-        number_of_id = int(found["id"], 16)
-        ext = len(found["id"]) == 8
-        err = ext and bool(number_of_id & _ERR)
-        data = bytes.fromhex((found["data"] or "").replace(".", ""))
-        row = (
+        try:
+            yield (*_check_frame(found)[:6], _text.parse_seconds(found["ts"]))
+        except ValueError as error:
+            raise FormatError(f"{name}, line {number}: {error}") from None
+
+
+def frames_of(texts: Iterable[str]) -> FrameArray:
+    """Return the frames of texts such as 123#DEADBEEF, 18FEF100#, 123#R8 or 20000080#00.
+
+    Their times are not known. ValueError names the first text that is no frame of classic CAN.
+    """
+    rows = []
+    for text in texts:
+        found = _FRAME.fullmatch(text)
+        if not found:
+            raise ValueError(
+                f"{text!r} is {_kind(text)}; write 123#DEADBEEF, 18FEF100#01 (extended: eight "
+                "digits), 123#R8 (remote)"
+            )
+        try:
+            rows.append(_check_frame(found))
+        except ValueError as error:
+            raise ValueError(f"{text!r}: {error}") from None
+    return _text.rows_to_frames(rows)
+
+
+def _kind(text: str) -> str:
+    """Say what a text is that is not read."""
+    return "CAN FD or CAN XL" if "##" in text else "no frame"
+
+
+def _check_frame(found: re.Match[str]) -> _text.Row:
+    """Return the frame of a match, without a time; ValueError if it is none of classic CAN."""
+    number_of_id = int(found["id"], 16)
+    ext = len(found["id"]) == 8
+    err = ext and bool(number_of_id & _ERR)
+    data = bytes.fromhex((found["data"] or "").replace(".", ""))
+    return _text.check_row(
+        (
             # Above 29 bits only the flags stand that an id of eight digits may have.
             number_of_id & 0x1FFFFFFF if err else number_of_id,
             # An error frame has eight digits because of its flag.
@@ -114,8 +148,4 @@ def _rows(file: BinaryIO, name: str) -> Iterator[_text.Row]:
             data,
             NO_TIME,
         )
-        try:
-            row = (*row[:6], _text.parse_seconds(found["ts"]))
-            yield _text.check_row(row)
-        except ValueError as error:
-            raise FormatError(f"{name}, line {number}: {error}") from None
+    )

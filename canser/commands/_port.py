@@ -1,0 +1,149 @@
+"""The arguments that name a live port, and how one is opened by them."""
+
+import argparse
+import re
+from typing import Final
+
+from canser import adapters
+from canser.codec import TS_UNITS, protocols
+from canser.commands._common import CallError, Parser, protocol_name
+from canser.errors import PortBusyError, PortDeniedError, PortNotFoundError
+from canser.live import ports
+from canser.live.ports import Port
+from canser.live.stream import Tap
+
+__all__ = ["duration", "open_port", "port_arguments", "staying_arguments"]
+
+_DURATION: Final = re.compile(r"(?P<number>\d+(?:\.\d+)?)\s*(?P<unit>ms|s|min|m|h|d)?")
+_SECONDS: Final = {"ms": 0.001, "s": 1, "min": 60, "m": 60, "h": 3600, "d": 86400, None: 1}
+
+
+def port_arguments() -> argparse.ArgumentParser:
+    """Return the arguments that name a port and say how its adapter is set."""
+    port = Parser(add_help=False)
+    group = port.add_argument_group("the port")
+    group.add_argument(
+        "-c",
+        "--channel",
+        metavar="URL",
+        required=True,
+        help="a device such as /dev/ttyUSB0, or socket://HOST:PORT, rfc2217://HOST:PORT",
+    )
+    group.add_argument(
+        "-p",
+        "--protocol",
+        type=protocol_name,
+        required=True,
+        help=f"what the adapter speaks: {', '.join(protocols())}",
+    )
+    group.add_argument("--baudrate", type=int, help="of the line (default: the protocol's own)")
+    group.add_argument(
+        "--bitrate",
+        type=int,
+        help="of the CAN bus in bit/s: the adapter is set to it where it can be; a load of the "
+        "bus is shown by it, without stuff bits",
+    )
+    group.add_argument(
+        "--mode",
+        choices=adapters.MODE_NAMES,
+        default="normal",
+        help="of the adapter, with --bitrate (default: normal)",
+    )
+    group.add_argument(
+        "--frame-type",
+        choices=adapters.FRAME_TYPES,
+        default="all",
+        help="frames that the adapter passes on, with --bitrate (default: all)",
+    )
+    group.add_argument(
+        "--adapter-filter",
+        metavar="ID:MASK",
+        type=_adapter_filter,
+        default=(0, 0),
+        help="frames that the adapter passes on, with --bitrate; hexadecimal (default: all)",
+    )
+    group.add_argument(
+        "--once",
+        action="store_true",
+        help="the adapter sends each frame once, acknowledged or not; with --bitrate",
+    )
+    group.add_argument(
+        "--ts-unit",
+        choices=TS_UNITS,
+        default="ms",
+        help="unit of the device's timestamps (default: ms)",
+    )
+    return port
+
+
+def staying_arguments() -> argparse.ArgumentParser:
+    """Return the arguments of commands that stay at a port."""
+    staying = Parser(add_help=False)
+    group = staying.add_argument_group("staying")
+    group.add_argument(
+        "--reconnect",
+        action="store_true",
+        help="when the device is gone wait for it, and go on; the gap is told",
+    )
+    group.add_argument(
+        "--ping",
+        metavar="TIME",
+        type=duration,
+        help="ping the adapter so often, and search the stream anew when it does not answer",
+    )
+    group.add_argument(
+        "--duration", metavar="TIME", type=duration, help="end after that time, such as 90s, 8h"
+    )
+    return staying
+
+
+def open_port(args: argparse.Namespace, *, tap: Tap | None = None) -> Port:
+    """Open the port that the arguments name; CallError where that cannot be."""
+    filter_id, filter_mask = args.adapter_filter
+    settings = {
+        "mode": args.mode,
+        "frame_type": args.frame_type,
+        "filter_id": filter_id,
+        "filter_mask": filter_mask,
+        "once": args.once,
+    }
+    plain = settings == {
+        "mode": "normal",
+        "frame_type": "all",
+        "filter_id": 0,
+        "filter_mask": 0,
+        "once": False,
+    }
+    # An adapter that cannot be set has its bit rate from somewhere; it still tells the load.
+    told = plain and not adapters.configures(args.protocol)
+    try:
+        return ports.open(
+            args.channel,
+            args.protocol,
+            baudrate=args.baudrate,
+            bitrate=None if told else args.bitrate,
+            ts_unit=args.ts_unit,
+            reconnect=getattr(args, "reconnect", False),
+            ping=getattr(args, "ping", None),
+            tap=tap,
+            **settings,
+        )
+    except (ValueError, PortNotFoundError, PortDeniedError, PortBusyError) as error:
+        raise CallError(str(error)) from None
+
+
+def duration(text: str) -> float:
+    """Return the seconds of a time such as 500ms, 5s, 10m, 1h or 2d; an argparse type."""
+    found = _DURATION.fullmatch(text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"cannot read the time {text!r}; write 500ms, 5s, 10m, 1h")
+    return float(found["number"]) * _SECONDS[found["unit"]]
+
+
+def _adapter_filter(text: str) -> tuple[int, int]:
+    parts = text.split(":")
+    if len(parts) != 2 or not all(re.fullmatch("[0-9A-Fa-f]{1,8}", part) for part in parts):
+        raise argparse.ArgumentTypeError(
+            f"cannot read the filter {text!r}; write ID:MASK in hexadecimal, such as 123:7FF"
+        )
+    return int(parts[0], 16), int(parts[1], 16)

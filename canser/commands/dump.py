@@ -1,0 +1,65 @@
+"""`canser dump`: frames as candump prints them."""
+
+import argparse
+
+import numpy as np
+
+from canser import report
+from canser._output import standard_output
+from canser.commands._common import (
+    GOOD,
+    CallError,
+    Commands,
+    add_command,
+    check_found,
+    open_source,
+    say,
+    say_remarks,
+    source_arguments,
+)
+from canser.formats.candump import Writer as CandumpWriter
+from canser.frames import FRAME_DTYPE, match
+
+__all__ = ["add"]
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "dump",
+        "print frames as candump does",
+        "  canser dump run.bin -p seeed | head\n"
+        "  canser dump run.bin -p seeed --filter 123:7FF --filter 18FEF100:1FFFFFFF\n"
+        "  canser dump run.pcapng\n"
+        "  cat /dev/ttyUSB0 | canser dump - -p seeed",
+        run=run,
+        parents=[source_arguments()],
+    )
+    parser.add_argument(
+        "--filter",
+        dest="filters",
+        metavar="FILTER",
+        action="append",
+        default=[],
+        help="only frames that pass: ID:MASK, ID~MASK (inverse) or #MASK (error frames), "
+        "hexadecimal; several: any of them",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    try:
+        match(np.empty(0, FRAME_DTYPE), *args.filters)
+    except ValueError as error:
+        raise CallError(str(error)) from None
+    with open_source(args) as source, standard_output() as out:
+        writer = CandumpWriter(out)
+        for frames in source:
+            writer.write(frames[match(frames, *args.filters)])
+            out.flush()
+        stats = None if source.decoder is None else source.decoder.stats
+    check_found(source)
+    if stats is not None and (stats.bytes_skipped or stats.controls):
+        say(report.conservation(stats))
+    say_remarks(source)
+    return GOOD

@@ -1,0 +1,89 @@
+"""`canser info`: what is in a file, and which protocol it is."""
+
+import argparse
+import os
+import stat
+
+import numpy as np
+
+from canser import report
+from canser._progress import Progress
+from canser.codec import Control, protocols
+from canser.commands._common import (
+    GOOD,
+    CallError,
+    Commands,
+    DataError,
+    ProtocolNeededError,
+    add_command,
+    check_found,
+    open_source,
+    say_remarks,
+    show,
+    source_arguments,
+)
+from canser.files import FrameFile
+from canser.identify import Fit, identify
+from canser.tally import Tally
+
+__all__ = ["add"]
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    add_command(
+        commands,
+        "info",
+        "frames, times, ids, rates, skipped bytes; without -p, which protocol fits best",
+        "  canser info run.bin\n"
+        "  canser info run.bin -p serial --ts-unit us\n"
+        "  canser info run.log\n"
+        "  canser info run.pcapng",
+        run=run,
+        parents=[source_arguments()],
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    tally = Tally()
+    with Progress(f"reading {args.source}") as progress, _open(args, progress) as source:
+        for frames in source:
+            tally.add(frames)
+        stats, controls = None, list[Control]()
+        if source.decoder is not None:
+            stats, controls = source.decoder.stats, source.decoder.take_controls()
+            check_found(source)
+    if source.recording is not None:
+        show(report.recording_lines(source.recording))
+    show(report.info_lines(tally, stats, controls))
+    say_remarks(source)
+    return GOOD
+
+
+def _open(args: argparse.Namespace, progress: Progress) -> FrameFile:
+    """Open IN; raw bytes of which nobody said the protocol in the one that fits."""
+    try:
+        return open_source(args, progress)
+    except ProtocolNeededError:
+        args.protocol = _identify(args).protocol
+        return open_source(args, progress)
+
+
+def _identify(args: argparse.Namespace) -> Fit:
+    """Print which protocol fits the bytes of IN; raise DataError if none does."""
+    mode = 0 if args.source == "-" else os.stat(args.source).st_mode  # noqa: PTH116
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        name = "standard input" if args.source == "-" else args.source
+        raise CallError(
+            f"{name} can be read only once: name its protocol with -p "
+            f"({', '.join(protocols())}), or put it into a file first"
+        )
+    if os.path.getsize(args.source) == 0:  # noqa: PTH202
+        raise DataError(f"{args.source} is empty")
+    fits = identify(np.memmap(args.source, np.uint8, mode="r"))
+    best = fits[0]
+    show([*report.fit_lines(fits), ""])
+    if not best.fits:
+        raise DataError(f"no protocol fits {args.source}; name it with -p if you know better")
+    show([f"protocol   {best.protocol}, which explains {best.score:.1%} of it beyond chance"])
+    return best

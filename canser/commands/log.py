@@ -1,0 +1,461 @@
+"""`canser log`: record what a port receives, for as long as it takes.
+
+With --json each line on standard output is an object with a `type` and a `time` (epoch seconds):
+
+    status   once a second, and `end`, the last one, which has besides
+               reason: "signal", "duration" or "error"; error: its text, or null
+             elapsed: seconds since the port was opened
+             frames, bytes: so far; bytes == framed + control + skipped + pending
+             frames_per_s, bytes_per_s, bus_load: of the last second; the load is 0 to 1 without
+               stuff bits, so a lower bound, and null where --bitrate is not given
+             resyncs: runs of skipped bytes; lost: bytes that came while the ring was full;
+             gaps, gaps_unknown: places where bytes are missing, and those of unknown length
+             ring: how full it is, 0 to 1
+             recorded, not_recorded: bytes on the disk, and far from any trigger
+             triggers; files: that were opened; file: the open one, or ""
+    opened, closed, deleted    a file: path
+    trigger  path: of the file that was open, or ""
+    gap      offset: in the stream; lost: bytes, -1 where nobody knows; reason: "overflow",
+             "reconnect" or "watchdog"
+    back     the device is back after a gap
+    error    number: what the adapter reports
+    warning  message
+"""
+
+import argparse
+import contextlib
+import json
+import re
+import sys
+import time
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from canser import adapters, report
+from canser._signals import Stop, stop_on_signals
+from canser.commands._common import BAD_DATA, GOOD, CallError, Commands, add_command, say
+from canser.commands._port import duration, open_port, port_arguments, staying_arguments
+from canser.commands._screen import Lines, StatusLine, warnings_as_lines
+from canser.errors import PortError, StreamClosedError
+from canser.frames import FRAME_DTYPE, FrameArray, match
+from canser.live.meter import Meter
+from canser.live.ports import Port, host_clock
+from canser.live.ring import Gap
+from canser.recordings.recorder import MEMORY, Recorder
+from canser.recordings.recording import RecordingInfo
+
+__all__ = ["add"]
+
+# Frames that are taken at once, and how long they are waited for, in seconds.
+_ROOM: Final = 4096
+_ROUND: Final = 0.2
+
+# After the wish to stop, what is on its way is waited for: until nothing comes for the first
+# time, at most for the second.
+_QUIET: Final = 0.05
+_DRAIN: Final = 0.5
+
+# Seconds between two status objects of --json.
+_EVERY: Final = 1.0
+
+_WINDOW: Final = 5.0  # seconds before and after a trigger, by default
+
+_SIZE: Final = re.compile(r"(?P<number>\d+(?:\.\d+)?)\s*(?P<unit>[kKMG]i?)?B?")
+_UNITS: Final = {
+    None: 1, "k": 10**3, "K": 10**3, "M": 10**6, "G": 10**9,
+    "ki": 1 << 10, "Ki": 1 << 10, "Mi": 1 << 20, "Gi": 1 << 30,
+}  # fmt: skip
+_SIZE_LEAST: Final = 100_000
+
+_REASONS: Final = {
+    "overflow": "this program was too slow",
+    "reconnect": "the device was gone",
+    "watchdog": "the ping did not come back",
+}
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "log",
+        "record the bytes of a port, with their times, in pcapng files",
+        "  canser log -c /dev/ttyUSB0 -p seeed --bitrate 500000 run.pcapng\n"
+        "  canser log -c /dev/ttyUSB0 -p seeed --size 100M --keep 20 run.pcapng\n"
+        "  canser log -c /dev/ttyACM0 -p serial --trigger 123:7FF --trigger error \\\n"
+        "      --before 10s --after 30s event.pcapng\n"
+        "  canser log -c socket://gateway:4000 -p serial --reconnect --json \\\n"
+        "      run.pcapng | jq .frames_per_s",
+        run=run,
+        parents=[port_arguments(), staying_arguments()],
+    )
+    parser.add_argument("target", metavar="OUT", help="a .pcapng file")
+    parser.add_argument("--force", action="store_true", help="replace files that are there")
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="a JSON object a second, and one for each event, on standard output",
+    )
+    turns = parser.add_argument_group(
+        "files by turns", "OUT run.pcapng is then run-000001.pcapng and so on"
+    )
+    turns.add_argument("--size", type=_size, help="bytes of a file at most, such as 100M")
+    turns.add_argument("--time", type=duration, help="time in a file at most, such as 1h")
+    turns.add_argument(
+        "--keep", metavar="N", type=int, help="delete the oldest files of this run, keep N"
+    )
+    events = parser.add_argument_group("events", "record only what surrounds them, a file for each")
+    events.add_argument(
+        "--trigger",
+        dest="triggers",
+        metavar="FILTER",
+        action="append",
+        default=[],
+        help="a frame that passes ID:MASK, ID~MASK or #MASK (hexadecimal), or 'error': an "
+        "error frame or an error that the adapter reports; several: any of them",
+    )
+    events.add_argument("--before", metavar="TIME", type=duration, help="(default: 5s)")
+    events.add_argument("--after", metavar="TIME", type=duration, help="(default: 5s)")
+
+
+def run(args: argparse.Namespace) -> int:
+    filters = [text for text in args.triggers if text != "error"]
+    try:
+        match(np.empty(0, FRAME_DTYPE), *filters)
+        recorder = _recorder(args)
+    except ValueError as error:
+        raise CallError(str(error)) from None
+    stream = sys.stdout if args.json else sys.stderr
+    if stream is None and args.json:
+        raise StreamClosedError("the standard output is closed; open it, or leave --json out")
+    told = None if stream is None else stream.fileno()
+    with (
+        contextlib.closing(recorder),
+        stop_on_signals() as stop,
+        Lines(told) as lines,
+    ):
+        teller = _Teller(lines, None if args.json else StatusLine(lines, told))
+        with warnings_as_lines(teller.warn), open_port(args, tap=recorder.write) as port:
+            ended = _Log(args, filters, port, recorder, teller).run(stop)
+    if ended is None:
+        return GOOD
+    say(f"canser: {ended}")
+    return BAD_DATA
+
+
+def _recorder(args: argparse.Namespace) -> Recorder:
+    window_ns = None
+    if args.triggers:
+        before, after = (_WINDOW if s is None else s for s in (args.before, args.after))
+        window_ns = int(before * 1e9), int(after * 1e9)
+    elif args.before is not None or args.after is not None:
+        raise CallError("--before and --after are about a trigger; name one with --trigger")
+    info = RecordingInfo(
+        protocol=args.protocol,
+        baudrate=args.baudrate or adapters.baudrate(args.protocol),
+        bitrate=args.bitrate,
+        ts_unit=args.ts_unit,
+        device=args.channel,
+    )
+    return Recorder(
+        args.target,
+        info,
+        size=args.size,
+        period_ns=None if args.time is None else int(args.time * 1e9),
+        window_ns=window_ns,
+        keep=args.keep,
+        force=args.force,
+    )
+
+
+def _size(text: str) -> int:
+    found = _SIZE.fullmatch(text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"cannot read the size {text!r}; write 500k, 100M or 1G")
+    size = int(float(found["number"]) * _UNITS[found["unit"]])
+    if size < _SIZE_LEAST:
+        raise argparse.ArgumentTypeError(
+            f"the size {text} is too small for a file; give 100k or more"
+        )
+    return size
+
+
+class _Teller:
+    """Tell people on standard error, or machines on standard output."""
+
+    def __init__(self, lines: Lines, status: StatusLine | None) -> None:
+        self._lines = lines
+        self.status = status  # None where machines read
+        self._due = time.monotonic() + _EVERY
+
+    @property
+    def due(self) -> bool:
+        """Whether it is time for the status."""
+        return time.monotonic() >= self._due if self.status is None else self.status.due
+
+    def event(self, kind: str, text: str, ts: int, **facts: Any) -> None:
+        """Tell what has happened: a line, or an object with the facts."""
+        if self.status is not None:
+            self._lines.put(text)
+        else:
+            self.object(kind, ts, facts)
+
+    def object(self, kind: str, ts: int, facts: dict[str, Any]) -> None:
+        """Tell machines."""
+        if kind == "status":
+            # By the clock, not by when the last one was late.
+            self._due = max(self._due + _EVERY, time.monotonic())
+        self._lines.put(json.dumps({"type": kind, "time": round(ts / 1e9, 6), **facts}))
+
+    def warn(self, text: str) -> None:
+        """Tell a warning."""
+        self.event("warning", f"canser: {text}", time.time_ns(), message=text)
+
+
+class _Log:
+    """A run of the command: rounds of reading, recording and telling."""
+
+    def __init__(
+        self,
+        args: argparse.Namespace,
+        filters: list[str],
+        port: Port,
+        recorder: Recorder,
+        teller: _Teller,
+    ) -> None:
+        self._port, self._recorder, self._teller = port, recorder, teller
+        self._filters, self._errors = filters, "error" in args.triggers
+        self._triggered, self._duration = bool(args.triggers), args.duration
+        self._clock = host_clock()
+        self._begin = time.monotonic()
+        self._meter = Meter(args.bitrate, self._begin)
+        self._room = np.empty(_ROOM, FRAME_DTYPE)
+        self._gaps = self._gaps_unknown = 0
+        self._away = self._told_memory = False
+        self._gap_end = 0  # bytes that had come when the device went away
+        self._files: list[str] = []  # the first and the last one
+
+    def run(self, stop: Stop) -> Exception | None:
+        """Record until the end; return what has ended it, None for a wish or the time."""
+        error: Exception | None = None
+        try:
+            try:
+                self._recorder.start(self._clock())
+                self._follow(stop)
+            finally:
+                self._take(self._room[:0])
+        except (PortError, OSError) as ended:
+            error = ended
+        try:
+            self._recorder.close()
+        except OSError as ended:
+            error = error or ended
+        self._tell_events()
+        if isinstance(error, OSError):
+            error = _disk_error(error, self._recorder)
+        self._summary(error, stopped=bool(stop))
+        return error
+
+    def _follow(self, stop: Stop) -> None:
+        end = None if self._duration is None else self._begin + self._duration
+        while not stop:
+            left = _ROUND if end is None else end - time.monotonic()
+            if left <= 0:
+                return
+            self._read(min(left, _ROUND))
+            if self._teller.due:
+                self._tell_status()
+        # What the line has delivered until now may wait in the system, or in the ring.
+        end = time.monotonic() + _DRAIN
+        while True:
+            before, left = self._recorder.bytes_in, end - time.monotonic()
+            self._read(_QUIET if left > 0 else 0)
+            after = self._recorder.bytes_in
+            # Not between a byte that is recorded and the frame that it belongs to.
+            if after == self._port.decoder.position and (after == before or left <= 0):
+                return
+
+    def _read(self, timeout: float) -> None:
+        room = self._room
+        self._take(self._port.read_batch(room, min_frames=len(room), timeout=timeout))
+
+    def _take(self, frames: FrameArray) -> None:
+        """Count frames, and record the bytes that they came in."""
+        port, recorder = self._port, self._recorder
+        self._meter.add(frames, recorder.bytes_in, time.monotonic())
+        triggers = self._triggers(frames)
+        self._tell_gaps()
+        recorder.advance(port.decoder.position - port.decoder.pending, self._clock(), triggers)
+        self._tell_events()
+
+    def _triggers(self, frames: FrameArray) -> list[int]:
+        """Return the times of what is waited for, ascending."""
+        times: list[int] = []
+        if self._filters and len(frames):
+            times += frames["ts"][match(frames, *self._filters)].tolist()
+        if self._errors:
+            times += frames["ts"][frames["err"]].tolist()
+        for offset, data in self._port.take_controls():
+            said = adapters.report(self._port.protocol, data)
+            if said.kind == "error":
+                ts = self._recorder.arrival_of(offset)
+                text = f"the adapter reports error {said.number}"
+                self._teller.event("error", text, ts, number=said.number)
+                times += [ts] if self._errors else []
+        return sorted(times)
+
+    # Telling
+
+    def _tell_gaps(self) -> None:
+        for gap in self._port.take_gaps():
+            self._gaps += 1
+            self._gaps_unknown += gap.lost < 0
+            self._away = gap.reason == "reconnect"
+            text = _gap_text(gap)
+            if self._away:
+                text += f"; waiting for {self._port.url}"
+            self._teller.event(
+                "gap", text, gap.ts, offset=gap.offset, lost=gap.lost, reason=gap.reason
+            )
+            self._gap_end = self._recorder.bytes_in
+        if self._away and self._recorder.bytes_in > self._gap_end:
+            self._away = False
+            self._teller.event("back", f"{self._port.url} is back", self._clock())
+
+    def _tell_events(self) -> None:
+        recorder = self._recorder
+        while recorder.events:
+            kind, path, ts = recorder.events.popleft()
+            if kind == "opened":
+                self._files = [*self._files[:1], path]
+            if kind == "trigger":
+                when = datetime.fromtimestamp(ts / 1e9).astimezone()
+                self._teller.event("trigger", f"trigger at {when:%H:%M:%S.%f}", ts, path=path)
+            elif kind != "closed" or self._teller.status is None:
+                verb = "recording into" if kind == "opened" else "deleted"
+                self._teller.event(kind, f"{verb} {path}", ts, path=path)
+        if recorder.out_of_memory and not self._told_memory:
+            self._told_memory = True
+            self._teller.warn(
+                f"{MEMORY >> 20} MiB are too little for all that came before a trigger; "
+                "--before is shorter than it says"
+            )
+
+    def _tell_status(self) -> None:
+        if self._teller.status is None:
+            self._teller.object("status", self._clock(), self._facts())
+            return
+        self._teller.status.show(self._parts())
+
+    def _facts(self) -> dict[str, Any]:
+        """Return how things stand, for machines."""
+        port, recorder, rates = self._port, self._recorder, self._meter.rates()
+        stats = port.stats
+        return {
+            "elapsed": round(time.monotonic() - self._begin, 3),
+            "frames": stats.frames,
+            "frames_per_s": round(rates.frames, 1),
+            "bytes": stats.bytes_in,
+            "bytes_per_s": round(rates.bytes, 1),
+            "bus_load": None if rates.load is None else round(rates.load, 4),
+            "framed": stats.bytes_framed,
+            "control": stats.bytes_control,
+            "skipped": stats.bytes_skipped,
+            "pending": stats.pending,
+            "resyncs": stats.resyncs,
+            "lost": port.bytes_lost,
+            "gaps": self._gaps,
+            "gaps_unknown": self._gaps_unknown,
+            "ring": round(port.ring_fill, 4),
+            "recorded": recorder.bytes_recorded,
+            "not_recorded": recorder.bytes_passed,
+            "triggers": recorder.triggers,
+            "files": recorder.files,
+            "file": recorder.file,
+        }
+
+    def _parts(self) -> list[str]:
+        """Return how things stand, for people, most wanted first."""
+        port, recorder, rates = self._port, self._recorder, self._meter.rates()
+        stats = port.stats
+        parts = [
+            _clock_text(time.monotonic() - self._begin),
+            f"{rates.frames:,.0f} frames/s",
+            f"{_bytes_text(rates.bytes)}/s",
+        ]
+        if rates.load is not None:
+            parts.append(f"load {rates.load:.0%}")
+        parts += [
+            f"skipped {stats.bytes_skipped:,}",
+            f"lost {port.bytes_lost:,}",
+            f"ring {port.ring_fill:.0%}",
+        ]
+        if self._away:
+            parts.insert(0, "no device")
+        if recorder.recording:
+            parts.append(f"{Path(recorder.file).name} {_bytes_text(recorder.file_bytes)}")
+        else:
+            parts.append(f"waiting for trigger {recorder.triggers + 1:,}")
+        return parts
+
+    def _summary(self, error: Exception | None, *, stopped: bool) -> None:
+        port, recorder, stats = self._port, self._recorder, self._port.stats
+        if self._teller.status is None:
+            reason = "error" if error is not None else "signal" if stopped else "duration"
+            facts = {"reason": reason, "error": None if error is None else str(error)}
+            self._teller.object("end", self._clock(), facts | self._facts())
+            return
+        self._teller.status.clear()
+        seconds = time.monotonic() - self._begin
+        lines = [
+            f"{port.url}: {stats.frames:,} frames in {seconds:,.1f} s",
+            report.conservation(stats),
+        ]
+        if stats.bytes_skipped:
+            lines.append(f"skipped: {report.reject_text(stats)}; resyncs: {stats.resyncs:,}")
+        names = [Path(path).name for path in self._files]
+        files = {0: "no file", 1: names[-1] if names else ""}.get(
+            recorder.files,
+            f"{recorder.files:,} files, {names[0] if names else ''} to "
+            f"{names[-1] if names else ''}",
+        )
+        lines.append(f"recorded: {recorder.bytes_recorded:,} bytes in {files}")
+        if self._triggered:
+            lines.append(
+                f"triggers: {recorder.triggers:,}; {recorder.bytes_passed:,} bytes far from any "
+                "were not recorded"
+            )
+        unknown = f"; gaps of unknown length: {self._gaps_unknown:,}" if self._gaps_unknown else ""
+        lines.append(f"lost: {port.bytes_lost:,} bytes{unknown}")
+        for line in lines:
+            self._teller.event("", line, 0)
+
+
+def _disk_error(error: OSError, recorder: Recorder) -> Exception:
+    missing = recorder.bytes_in - recorder.bytes_recorded - recorder.bytes_passed
+    file = error.filename or recorder.last_file
+    return OSError(
+        f"STOPPED: {file}: {error.strerror or error}; what was written is good, "
+        f"the last {missing:,} bytes are not in it"
+    )
+
+
+def _gap_text(gap: Gap) -> str:
+    lost = "bytes are missing" if gap.lost < 0 else f"{gap.lost:,} bytes are lost"
+    return f"gap: {lost} at byte {gap.offset:,}: {_REASONS[gap.reason]}"
+
+
+def _bytes_text(count: float) -> str:
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= size:
+            return f"{count / size:.1f} {unit}"
+    return f"{count:.0f} B"
+
+
+def _clock_text(seconds: float) -> str:
+    minutes, left = divmod(int(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours:02}:{minutes:02}:{left:02}"

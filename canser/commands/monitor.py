@@ -1,0 +1,76 @@
+"""`canser monitor`: the live table of a port, by id."""
+
+import argparse
+import math
+import sys
+import time
+
+import numpy as np
+
+from canser._signals import stop_on_signals
+from canser.commands._common import GOOD, CallError, Commands, add_command
+from canser.commands._port import open_port, port_arguments, staying_arguments
+from canser.commands._screen import warnings_as_lines
+from canser.monitoring.livetable import ROW_DTYPE, choose
+
+__all__ = ["add"]
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "monitor",
+        "show the live table of a port, by id",
+        "  canser monitor -c /dev/ttyUSB0 -p seeed --bitrate 500000\n"
+        "  canser monitor -c /dev/ttyUSB0 -p seeed --filter 123:7FF --filter 18F\n\n"
+        "keys: i n p j d s sort by id, count, period, jitter, dlc, last seen (again: the\n"
+        "other way round); / filter, space pause, c clear, q quit",
+        run=run,
+        parents=[port_arguments(), staying_arguments()],
+    )
+    parser.add_argument(
+        "--filter",
+        dest="filters",
+        metavar="FILTER",
+        action="append",
+        default=[],
+        help="only ids that pass: ID:MASK, ID~MASK (inverse), #MASK (error frames) or the "
+        "first digits of an id, hexadecimal; several: any of them",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    try:
+        from canser.monitoring.monitor import Monitor  # noqa: PLC0415 - an optional extra
+    except ModuleNotFoundError as error:
+        if error.name is None or not error.name.startswith(("textual", "rich")):
+            raise
+        raise CallError("the monitor needs textual: pip install 'canser[monitor]'") from None
+    try:
+        choose(np.empty(0, ROW_DTYPE), " ".join(args.filters))
+    except ValueError as error:
+        raise CallError(str(error)) from None
+    if not all(stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr)):
+        raise CallError(
+            "the monitor needs a terminal, and its input or output is none; "
+            "run it without < > and |"
+        )
+    remarks: list[str] = []
+    end = time.monotonic() + (math.inf if args.duration is None else args.duration)
+    with (
+        stop_on_signals() as stop,
+        warnings_as_lines(remarks.append),
+        open_port(args) as port,
+    ):
+        app = Monitor(
+            port,
+            filters=" ".join(args.filters),
+            bitrate=args.bitrate,
+            remarks=remarks,
+            stopped=lambda: stop.wanted or time.monotonic() >= end,
+        )
+        app.run()
+    if app.error is not None:
+        raise app.error
+    return GOOD

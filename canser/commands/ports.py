@@ -1,0 +1,32 @@
+"""`canser ports`: the serial ports of this machine."""
+
+import argparse
+
+from canser.commands._common import GOOD, Commands, add_command, say, show
+from canser.live.ports import list_ports
+
+__all__ = ["add"]
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    add_command(
+        commands,
+        "ports",
+        "list the serial ports that are plugged in",
+        "  canser ports",
+        run=run,
+    )
+
+
+def run(args: argparse.Namespace) -> int:  # noqa: ARG001 - what every command takes
+    rows = [tuple(port) for port in list_ports()]
+    if not rows:
+        say("no serial port is plugged in; a port over the network is named by its URL")
+        return GOOD
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    show(
+        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )
+    return GOOD

@@ -1,0 +1,39 @@
+"""`canser recover`: a good copy of a damaged recording."""
+
+import argparse
+
+from canser._output import whole_file
+from canser.commands._common import GOOD, Commands, add_command, say
+from canser.recordings.recording import recover
+
+__all__ = ["add"]
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "recover",
+        "copy what is good of a torn or damaged recording, and say what is not",
+        "  canser recover run.pcapng whole.pcapng",
+        run=run,
+    )
+    parser.add_argument("source", metavar="IN", help="a recording")
+    parser.add_argument("target", metavar="OUT", help="the copy")
+    parser.add_argument("--force", action="store_true", help="replace OUT if it is there")
+
+
+def run(args: argparse.Namespace) -> int:
+    with (
+        open(args.source, "rb") as source,  # noqa: PTH123
+        whole_file(args.target, force=args.force) as target,
+    ):
+        done = recover(source, target)
+    for remark in done.remarks:
+        say(f"{args.source}: {remark}")
+    left_out = f"{done.bytes_left_out:,} bytes left out" if done.bytes_left_out else "all is good"
+    say(
+        f"{args.source} -> {args.target}: {done.blocks:,} blocks, "
+        f"{done.bytes_kept:,} bytes of the line; {left_out}"
+    )
+    return GOOD

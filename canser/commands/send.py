@@ -1,0 +1,52 @@
+"""`canser send`: send frames that are named in the call."""
+
+import argparse
+
+from canser.codec import encode
+from canser.commands._common import GOOD, CallError, Commands, DataError, add_command, say
+from canser.commands._port import open_port, port_arguments
+from canser.formats.candump import frames_of
+
+__all__ = ["add"]
+
+# A line that takes nothing for so long, in seconds, does not work.
+_PATIENCE = 10.0
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "send",
+        "send frames",
+        "  canser send -c /dev/ttyUSB0 -p seeed --bitrate 500000 123#DEADBEEF\n"
+        "  canser send -c /dev/ttyACM0 -p serial 18FEF100#01.02 7E0#R8\n"
+        "  canser send -c socket://gateway:4000 -p cantalope 123# 124#00",
+        run=run,
+        parents=[port_arguments()],
+    )
+    parser.add_argument(
+        "frames",
+        metavar="FRAME",
+        nargs="+",
+        help="as candump writes them: ID#DATA in hexadecimal, eight digits for an extended "
+        "id; ID#R, ID#R8 for remote frames",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    try:
+        frames = frames_of(args.frames)
+        # What the format cannot carry is told before a port is opened.
+        timed = frames.copy()
+        timed["ts"] = 0
+        encode(timed, args.protocol)
+    except ValueError as error:
+        raise CallError(str(error)) from None
+    with open_port(args) as port:
+        count = port.send(frames, timeout=_PATIENCE)
+        if not port.drain(timeout=_PATIENCE):
+            raise DataError(f"{port.url} does not send what it took; is the adapter plugged in?")
+        url = port.url
+    say(f"{count:,} frame{'s' * (count != 1)} sent to {url}")
+    return GOOD

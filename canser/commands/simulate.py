@@ -1,0 +1,291 @@
+"""`canser simulate`: an adapter that is not there, on a pseudo terminal."""
+
+import argparse
+import contextlib
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator
+from typing import BinaryIO
+
+import numpy as np
+
+from canser._output import whole_file
+from canser._signals import Stop, stop_on_signals
+from canser.codec import TS_UNITS, encode, protocols
+from canser.commands._common import (
+    GOOD,
+    CallError,
+    Commands,
+    DataError,
+    add_command,
+    protocol_name,
+    say,
+    show,
+)
+from canser.files import FrameFile, format_of
+from canser.frames import FRAME_DTYPE, FrameArray
+from canser.simulation.simulator import PACES, Simulator, SimulatorReport
+from canser.simulation.traffic import vehicle
+
+__all__ = ["add"]
+
+# The traffic that is made goes round in this many seconds.
+_ROUND = 60.0
+
+# So long the end waits for a host that does not read, and for one that comes back.
+_PATIENCE = 2.0
+
+
+def add(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "simulate",
+        "be an adapter on a pseudo terminal: no hardware needed",
+        "  canser simulate -p seeed                      prints its name, sends for ever\n"
+        "  canser simulate -p serial --traffic run.log --pace traffic --link /tmp/can\n"
+        "  canser simulate -p seeed --seconds 60 --pace max --copy sent.bin\n"
+        "  canser simulate -p cantalope --noise 0.001 --stall 100000:2 --report sent.json",
+        run=run,
+    )
+    parser.add_argument(
+        "-p", "--protocol", type=protocol_name, required=True, help=", ".join(protocols())
+    )
+    parser.add_argument(
+        "--traffic",
+        metavar="FILE",
+        help="the frames to send: a .log, .csv or .npy file, or raw bytes of the protocol "
+        "(default: a vehicle's traffic, for ever)",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=_number(float),
+        metavar="S",
+        help="send so many seconds of a vehicle's traffic, then end",
+    )
+    parser.add_argument("--loop", action="store_true", help="send FILE over and over")
+    parser.add_argument(
+        "--pace",
+        choices=PACES,
+        default="line",
+        help="as the serial line carries, by the frames' times, or as fast as the host reads "
+        "(default: line)",
+    )
+    parser.add_argument(
+        "--baudrate",
+        type=_number(int, least=1),
+        metavar="N",
+        help="of the line (default: that of the protocol's adapters)",
+    )
+    parser.add_argument(
+        "--ts-unit",
+        choices=TS_UNITS,
+        default="ms",
+        help="unit of the device's timestamps (default: ms)",
+    )
+    parser.add_argument("--echo", action="store_true", help="send the host's frames back")
+    parser.add_argument(
+        "--noise",
+        type=_number(float, most=1),
+        default=0.0,
+        metavar="SHARE",
+        help="of the bytes that are lost, flipped or have one added in front, as 0.001",
+    )
+    parser.add_argument(
+        "--loss",
+        type=_number(float, most=1),
+        default=0.0,
+        metavar="SHARE",
+        help="of the bytes that are lost in runs of 1 to 63",
+    )
+    parser.add_argument(
+        "--stall",
+        dest="stalls",
+        type=_stall,
+        action="append",
+        default=[],
+        metavar="AT:S",
+        help="fall silent after AT bytes for S seconds; several: each",
+    )
+    parser.add_argument(
+        "--seed", type=_number(int), default=1, metavar="N", help="of the faults (default: 1)"
+    )
+    parser.add_argument(
+        "--link", default="", metavar="PATH", help="a symbolic link to the terminal"
+    )
+    parser.add_argument("--copy", metavar="FILE", help="gets the very bytes that were sent")
+    parser.add_argument(
+        "--report", metavar="FILE", help="gets what was done, as JSON; - for standard output"
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="replace the files of --copy and --report"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    with contextlib.ExitStack() as files:
+        copy: BinaryIO | None = None
+        if args.copy is not None:
+            copy = files.enter_context(whole_file(args.copy, force=args.force))
+        target: BinaryIO | None = None
+        if args.report is not None and args.report != "-":
+            target = files.enter_context(whole_file(args.report, force=args.force))
+        traffic, loop = _traffic(args)
+        with (
+            stop_on_signals() as stop,
+            Simulator(
+                args.protocol,
+                traffic,
+                ts_unit=args.ts_unit,
+                loop=loop,
+                pace=args.pace,
+                baudrate=args.baudrate,
+                echo=args.echo,
+                noise=args.noise,
+                loss=args.loss,
+                stalls=args.stalls,
+                seed=args.seed,
+                link=args.link,
+                copy=copy,
+            ) as device,
+        ):
+            show([device.url])
+            _run(device, stop)
+        report = device.report()
+        text = json.dumps(dataclasses.asdict(report), indent=2)
+        if target is not None:
+            target.write(text.encode() + b"\n")
+        elif args.report is not None:
+            show([text])
+    for line in _summary(report):
+        say(line)
+    return GOOD
+
+
+def _run(device: Simulator, stop: Stop) -> None:
+    """Serve until all is sent and read, the host has gone, or somebody wants it to end."""
+    waits = 0.0
+    while not stop and not device.wait(0.1):
+        if not device.finished:
+            continue
+        waits += 0.1
+        if not device.connected and waits > _PATIENCE:
+            return
+        if device.connected and abs(waits - _PATIENCE) < 0.05:
+            say("all is sent; waiting for the host to read the rest (Ctrl-C ends)")
+    if stop:
+        device.stop()
+        device.wait(_PATIENCE)
+
+
+def _traffic(args: argparse.Namespace) -> tuple[FrameArray | Iterable[FrameArray], bool]:
+    """Return the frames to send, and whether over and over."""
+    if args.traffic is None:
+        if args.loop:
+            raise CallError("--loop repeats a file: name it with --traffic, or leave --loop out")
+        ext = _carries_extended(args.protocol)
+        if args.seconds is None:
+            return vehicle(_ROUND, extended=ext), True
+        return _made(args.seconds, extended=ext), False
+    if args.seconds is not None:
+        raise CallError("--seconds is for traffic that is made; leave it out, or --traffic")
+    if args.loop and args.traffic == "-":
+        raise CallError("standard input can be read only once; put it into a file, or drop --loop")
+    return _File(args), args.loop
+
+
+def _made(seconds: float, *, extended: bool) -> Iterator[FrameArray]:
+    """Make a vehicle's traffic, a round at a time."""
+    start = 0.0
+    while start < seconds:
+        frames = vehicle(min(_ROUND, seconds - start), extended=extended)
+        frames["ts"] += int(start * 1e9)
+        yield frames
+        start += _ROUND
+
+
+class _File:
+    """The frames of a file, as often as they are asked for; its first ones are read at once."""
+
+    def __init__(self, args: argparse.Namespace) -> None:
+        self._args = args
+        self._opened: Iterator[FrameArray] | None = self._open()
+        self._first = next(self._opened, None)
+        if self._first is None:
+            raise DataError(f"there is no frame in {args.traffic}")
+
+    def __iter__(self) -> Iterator[FrameArray]:
+        opened, first = self._opened or self._open(), self._first
+        self._opened = self._first = None
+        if first is not None:
+            yield first
+        yield from opened
+
+    def _open(self) -> Iterator[FrameArray]:
+        args = self._args
+        with FrameFile(
+            args.traffic, format_of(args.traffic), protocol=args.protocol, ts_unit=args.ts_unit
+        ) as file:
+            yield from file
+
+
+def _carries_extended(protocol: str) -> bool:
+    one = np.zeros(1, FRAME_DTYPE)
+    one["ext"] = True
+    try:
+        encode(one, protocol)
+    except ValueError:
+        return False
+    return True
+
+
+def _summary(report: SimulatorReport) -> Iterator[str]:
+    """Yield what there is to say at the end."""
+    yield f"{report.frames:,} frames, {report.bytes_sent:,} bytes sent"
+    if report.bytes_lost or report.bytes_inserted or report.bytes_flipped:
+        yield (
+            f"faults: bytes lost {report.bytes_lost:,}, added {report.bytes_inserted:,}, "
+            f"flipped {report.bytes_flipped:,}; frames without any: {report.frames_intact:,}"
+        )
+    if report.stalls:
+        yield f"stalls: {report.stalls:,}"
+    if report.bytes_received:
+        kinds = "".join(f", {name} {count:,}" for name, count in report.controls.items())
+        yield (
+            f"from the host: frames {report.frames_received:,}{kinds}, "
+            f"bytes skipped {report.bytes_skipped:,}; sent back: {report.bytes_answered:,} bytes"
+        )
+    if report.bytes_unread:
+        yield f"not read by the host: {report.bytes_unread:,} of the bytes sent"
+    if report.flushes:
+        yield f"flushed by the host, so that some bytes may be lost: {report.flushes:,} times"
+
+
+def _number(
+    kind: Callable[[str], float], *, least: float = 0, most: float = math.inf
+) -> Callable[[str], float]:
+    """Return an argument's type: a number within limits."""
+
+    def number(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
+        if not least <= value <= most:
+            limit = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
+            raise argparse.ArgumentTypeError(f"{text} must be {limit}")
+        return value
+
+    return number
+
+
+def _stall(text: str) -> tuple[int, float]:
+    at, _, seconds = text.partition(":")
+    try:
+        stall = int(at), float(seconds)
+        if stall[0] >= 0 and 0 <= stall[1] < math.inf:
+            return stall
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"{text!r} is no stall: give bytes and seconds, as 5000:2")

@@ -1,0 +1,462 @@
+"""`canser log` as its users run it: pseudo terminals, signals, full disks, files afterwards."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import canser
+from canser.frames import FRAME_DTYPE, FrameArray
+from canser.recordings.recording import Recording
+from canser.simulation.traffic import vehicle
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
+
+if sys.platform != "win32":
+    import resource
+
+    from beside import fails, open_terminal, read_terminal, running
+    from canser.simulation.simulator import Simulator
+    from device import Device, until
+
+GOOD, BAD_DATA, BAD_CALL = 0, 1, 2
+
+RAW = canser.encode(vehicle(10), "seeed")
+
+
+@pytest.fixture
+def device(tmp_path: Path) -> Iterator["Device"]:
+    with Device(tmp_path / "dev") as made:
+        yield made
+
+
+def content(path: Path) -> bytes:
+    with Recording(path) as recording:
+        raw = b"".join(bytes(piece.data) for piece in recording)
+        assert recording.remarks == []
+    return raw
+
+
+def recordings(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.pcapng"))
+
+
+def log(*more: str) -> list[str]:
+    return ["log", "-c", "dev", "-p", "seeed", *more]
+
+
+def check_law(facts: dict[str, int]) -> None:
+    kinds = ("framed", "control", "skipped", "pending")
+    assert facts["bytes"] == sum(facts[kind] for kind in kinds)
+    assert facts["bytes"] == facts["recorded"] + facts["not_recorded"]
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_signals_end_it_with_all_on_disk(tmp_path: Path, device: "Device", name: str) -> None:
+    with running(tmp_path, *log("--json", "run.pcapng")) as run:
+        opened = run.wait_object("opened")
+        assert opened["path"] == str(tmp_path / "run.pcapng")
+        device.write(RAW)
+        run.wait_object("status", bytes=len(RAW))
+        assert run.end(signal.Signals[name]) == GOOD
+        assert run.err == []
+    (end,) = run.objects("end")
+    assert (end["reason"], end["error"], end["files"]) == ("signal", None, 1)
+    assert (end["frames"], end["bytes"], end["lost"]) == (len(vehicle(10)), len(RAW), 0)
+    check_law(end)
+    assert content(tmp_path / "run.pcapng") == RAW
+    with Recording(tmp_path / "run.pcapng") as recording:
+        assert recording.info.protocol == "seeed"
+        assert recording.info.device == "dev"
+
+
+def test_a_signal_in_the_middle_leaves_no_hole(tmp_path: Path) -> None:
+    with (
+        (tmp_path / "sent.bin").open("wb") as copy,
+        Simulator(
+            "seeed",
+            vehicle(10),
+            loop=True,
+            baudrate=10_000_000,  # five times that of the adapter
+            link=str(tmp_path / "dev"),
+            copy=copy,
+        ),
+        running(tmp_path, *log("--json", "run.pcapng")) as run,
+    ):
+        run.wait_for(lambda: run.objects("status")[-1:], "status")
+        run.wait_for(lambda: run.objects("status")[-1]["bytes"] > len(RAW), "bytes")
+        assert run.end(signal.SIGTERM) == GOOD
+    (end,) = run.objects("end")
+    assert (end["lost"], end["skipped"], end["gaps"]) == (0, 0, 0)
+    check_law(end)
+    got = content(tmp_path / "run.pcapng")
+    assert len(got) == end["bytes"] > len(RAW)
+    # As a value of its own: two long texts that differ would be printed.
+    whole = (tmp_path / "sent.bin").read_bytes().startswith(got)
+    assert whole
+
+
+def test_a_simulated_adapter_to_the_byte(tmp_path: Path) -> None:
+    with (
+        (tmp_path / "sent.bin").open("wb") as copy,
+        Simulator(
+            "seeed", vehicle(60), pace="max", noise=1e-4, link=str(tmp_path / "dev"), copy=copy
+        ) as simulator,
+        running(tmp_path, *log("--bitrate", "500000", "--json", "run.pcapng")) as run,
+    ):
+        assert simulator.wait(60)
+        sent = simulator.report().bytes_sent
+        run.wait_object("status", bytes=sent)
+        assert run.end(signal.SIGINT) == GOOD
+        assert simulator.configuration is not None
+        assert simulator.configuration.bitrate == 500_000
+    assert content(tmp_path / "run.pcapng") == (tmp_path / "sent.bin").read_bytes()
+    (end,) = run.objects("end")
+    assert end["skipped"] > 0
+    check_law(end)
+
+
+def test_people_get_a_summary(tmp_path: Path, device: "Device") -> None:
+    with running(tmp_path, *log("run.pcapng")) as run:
+        run.wait_line(f"recording into {tmp_path / 'run.pcapng'}")
+        device.write(RAW + b"\0\0\0")
+        # No status is told in the first seconds: wait for the file instead.
+        path = tmp_path / "run.pcapng"
+        until(lambda: path.stat().st_size > len(RAW))
+        assert run.end(signal.SIGINT) == GOOD
+    assert run.out == []
+    text = "\n".join(run.err)
+    assert "\x1b" not in text
+    assert re.search(r"^dev: [\d,]+ frames in [\d.]+ s$", text, re.M)
+    assert re.search(r"bytes = .* framed \+ 0 control", text)
+    assert "lost: 0 bytes" in text
+    assert re.search(r"^recorded: [\d,]+ bytes in run\.pcapng$", text, re.M)
+
+
+def test_unplugged(tmp_path: Path, device: "Device") -> None:
+    with running(tmp_path, *log("--json", "run.pcapng")) as run:
+        run.wait_object("opened")
+        device.write(RAW)
+        run.wait_object("status", bytes=len(RAW))
+        device.unplug()
+        assert run.end() == BAD_DATA
+    assert len(run.err) == 1
+    assert run.err[0].startswith("canser: dev is gone")
+    assert run.objects("end")[0]["reason"] == "error"
+    assert content(tmp_path / "run.pcapng") == RAW
+
+
+def test_reconnect_leaves_a_gap_in_the_file(tmp_path: Path, device: "Device") -> None:
+    with running(tmp_path, *log("--json", "--reconnect", "run.pcapng")) as run:
+        run.wait_object("opened")
+        device.write(RAW[:-5])  # the last frame is cut
+        run.wait_object("status", bytes=len(RAW) - 5)
+        device.unplug()
+        gap = run.wait_object("gap", reason="reconnect")
+        assert (gap["offset"], gap["lost"]) == (len(RAW) - 5, -1)
+        with Device(tmp_path / "dev") as again:
+            again.feed(RAW)
+            run.wait_object("back")
+            run.wait_object("status", bytes=2 * len(RAW) - 5)
+            assert run.end(signal.SIGTERM) == GOOD
+    (end,) = run.objects("end")
+    assert (end["gaps"], end["gaps_unknown"], end["frames"]) == (1, 1, 2 * len(vehicle(10)) - 1)
+    parts = [b""]
+    with Recording(tmp_path / "run.pcapng") as recording:
+        for piece in recording:
+            if piece.gap:
+                assert piece.lost == -1
+                parts.append(b"")
+            parts[-1] += bytes(piece.data)
+    assert parts == [RAW[:-5], RAW]
+
+
+@pytest.mark.parametrize("more", [[], ["--size", "150k"]], ids=["one", "turns"])
+def test_a_full_disk_stops_it_loudly(tmp_path: Path, device: "Device", more: list[str]) -> None:
+    def bound() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (90_000, 90_000))
+
+    with running(tmp_path, *log("run.pcapng", *more), preexec_fn=bound) as run:
+        run.wait_line("recording into")
+        device.write(RAW[:200_000], lambda: run.process.poll() is not None)
+        assert run.end() == BAD_DATA
+    last = run.err[-1]
+    assert last.startswith("canser: STOPPED: ")
+    assert "File too large" in last
+    (path,) = recordings(tmp_path)
+    assert str(path) in last
+    got = content(path)
+    assert got
+    assert RAW.startswith(got)
+    missing = int(re.search(r"the last ([\d,]+) bytes are not", last)[1].replace(",", ""))  # type: ignore[index]
+    received = int(re.search(r"^([\d,]+) bytes = ", "\n".join(run.err), re.M)[1].replace(",", ""))  # type: ignore[index]
+    # What was read and is not decoded yet is missing, too.
+    assert received <= len(got) + missing <= 200_000
+
+
+@pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, reason="needs a small tmpfs")
+def test_a_full_tmpfs(tmp_path: Path, device: "Device") -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=128k", "none", str(disk)],
+        check=False,
+        capture_output=True,
+    )
+    if mounted.returncode:
+        pytest.skip("may not mount here")
+    try:
+        with running(tmp_path, *log("--size", "100k", "disk/run.pcapng")) as run:
+            run.wait_line("recording into")
+            device.write(RAW[:250_000], lambda: run.process.poll() is not None)
+            assert run.end() == BAD_DATA
+        assert "No space left on device" in run.err[-1]
+        got = b"".join(content(path) for path in recordings(disk))
+        assert len(got) > 50_000
+        assert RAW.startswith(got)
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_files_by_turns(tmp_path: Path, device: "Device") -> None:
+    many = RAW * 3
+    with running(tmp_path, *log("--json", "--size", "100k", "run.pcapng")) as run:
+        run.wait_object("opened")
+        device.write(many)
+        run.wait_object("status", bytes=len(many))
+        assert run.end(signal.SIGINT) == GOOD
+    paths = recordings(tmp_path)
+    assert len(paths) >= 3
+    assert b"".join(content(path) for path in paths) == many
+    assert [one["path"] for one in run.objects("opened")] == [str(path) for path in paths]
+    for path in paths:
+        decoder = canser.Decoder("seeed")
+        decoder.feed(content(path))
+        assert (decoder.stats.bytes_skipped, decoder.pending) == (0, 0)
+
+
+def test_keep_the_newest_files(tmp_path: Path, device: "Device") -> None:
+    many = RAW * 3
+    with running(tmp_path, *log("--json", "--size", "100k", "--keep", "2", "run.pcapng")) as run:
+        run.wait_object("opened")
+        device.write(many)
+        run.wait_object("status", bytes=len(many))
+        assert run.end(signal.SIGINT) == GOOD
+    paths = recordings(tmp_path)
+    assert len(paths) == 2
+    assert many.endswith(b"".join(content(path) for path in paths))
+    deleted = [one["path"] for one in run.objects("deleted")]
+    assert len(deleted) == run.objects("end")[0]["files"] - 2
+    assert not any(os.path.exists(path) for path in deleted)  # noqa: PTH110
+
+
+def frame(arbitration_id: int) -> FrameArray:
+    made = np_zeros()
+    made["id"], made["dlc"] = arbitration_id, 8
+    return made
+
+
+def np_zeros() -> FrameArray:
+    return canser.decode(b"\xaa\xc8\0\0" + bytes(8) + b"\x55", "seeed").astype(FRAME_DTYPE)
+
+
+def test_triggers_keep_what_was_around_them(tmp_path: Path, device: "Device") -> None:
+    plain = canser.encode(frame(0x100), "seeed") * 500
+    wanted = canser.encode(frame(0x7AB), "seeed")
+    options = ["--trigger", "7AB:7FF", "--before", "0s", "--after", "0s"]
+    with running(tmp_path, *log("--json", *options, "e.pcapng")) as run:
+        sent = 0
+        # Each part goes through a round of its own, so what is before is not around.
+        for part in (plain, wanted, plain, wanted, plain):
+            sent += len(part)
+            device.write(part)
+            run.wait_object("status", bytes=sent)
+        assert run.end(signal.SIGINT) == GOOD
+    (end,) = run.objects("end")
+    assert (end["triggers"], end["files"]) == (2, 2)
+    assert end["not_recorded"] > 0
+    check_law(end)
+    for path in recordings(tmp_path):
+        got = content(path)
+        assert got.count(wanted) == 1
+        assert len(got) < len(plain)
+    assert len(run.objects("trigger")) == 2
+
+
+def test_a_trigger_keeps_what_came_before(tmp_path: Path, device: "Device") -> None:
+    plain = canser.encode(frame(0x100), "seeed") * 500
+    wanted = canser.encode(frame(0x7AB), "seeed")
+    options = ["--trigger", "7AB:7FF", "--before", "1h", "--after", "1h"]
+    with running(tmp_path, *log(*options, "e.pcapng")) as run:
+        device.write(plain + wanted + plain)
+        run.wait_line("recording into")
+        assert run.end(signal.SIGINT) == GOOD
+    assert content(tmp_path / "e-000001.pcapng").startswith(plain + wanted)
+    assert any(re.match(r"triggers: 1; 0 bytes", line) for line in run.err)
+
+
+def test_an_error_of_the_adapter_is_a_trigger(tmp_path: Path, device: "Device") -> None:
+    options = ["--trigger", "error", "--json", "e.pcapng"]
+    with running(tmp_path, "log", "-c", "dev", "-p", "cantalope", *options) as run:
+        device.write(bytes.fromhex("246111 FFFF0107"))
+        assert run.wait_object("error")["number"] == 7
+        run.wait_object("trigger")
+        run.wait_object("status", bytes=7)
+        assert run.end(signal.SIGINT) == GOOD
+    assert content(tmp_path / "e-000001.pcapng") == bytes.fromhex("246111 FFFF0107")
+
+
+def test_without_a_trigger_there_is_no_file(tmp_path: Path, device: "Device") -> None:
+    with running(tmp_path, *log("--trigger", "7FF:7FF", "--json", "e.pcapng")) as run:
+        device.write(RAW)
+        run.wait_object("status", bytes=len(RAW))
+        assert run.end(signal.SIGINT) == GOOD
+    assert recordings(tmp_path) == []
+    assert run.objects("end")[0]["not_recorded"] == len(RAW)
+
+
+STATUS_KEYS = {
+    "type", "time", "elapsed", "frames", "frames_per_s", "bytes", "bytes_per_s", "bus_load",
+    "framed", "control", "skipped", "pending", "resyncs", "lost", "gaps", "gaps_unknown", "ring",
+    "recorded", "not_recorded", "triggers", "files", "file",
+}  # fmt: skip
+
+
+def test_json_has_the_same_keys_always(tmp_path: Path, device: "Device") -> None:
+    with running(tmp_path, *log("--json", "--duration", "2.5s", "run.pcapng")) as run:
+        run.wait_object("opened")
+        device.write(RAW[:100_000])
+        assert run.end() == GOOD
+    assert run.err == []
+    kinds = [one["type"] for one in run.objects()]
+    assert kinds[0] == "opened"
+    assert kinds[-2:] == ["closed", "end"]
+    assert kinds.count("status") >= 1
+    for one in run.objects("status"):
+        assert one.keys() == STATUS_KEYS
+        assert one["bus_load"] is None
+    (end,) = run.objects("end")
+    assert end.keys() == STATUS_KEYS | {"reason", "error"}
+    assert end["reason"] == "duration"
+    assert end["elapsed"] >= 2.5
+
+
+def test_a_bit_rate_gives_the_load_of_the_bus(tmp_path: Path) -> None:
+    # An adapter that cannot be set takes no configuration; its bit rate still is worth telling.
+    with Device(tmp_path / "dev") as device:
+        options = ["--bitrate", "500000", "--json", "run.pcapng"]
+        with running(tmp_path, "log", "-c", "dev", "-p", "serial", *options) as run:
+            run.wait_object("opened")
+            device.write(canser.encode(vehicle(1), "serial"))
+            run.wait_for(lambda: any(one["bus_load"] for one in run.objects("status")), "a load")
+            assert run.end(signal.SIGINT) == GOOD
+    with Recording(tmp_path / "run.pcapng") as recording:
+        assert recording.info.bitrate == 500_000
+
+
+@pytest.mark.parametrize("columns", [80, 40])
+def test_the_status_line_fits_the_terminal(tmp_path: Path, device: "Device", columns: int) -> None:
+    master, slave = open_terminal(columns)
+    try:
+        with running(tmp_path, *log("run.pcapng"), stderr=slave) as run:
+            os.close(slave)
+            text = read_terminal(master, lambda text: "recording into" in text)
+            device.write(RAW[:50_000])
+            text += read_terminal(master, lambda text: text.count(" frames/s") >= 3)
+            run.process.send_signal(signal.SIGINT)
+            text += read_terminal(master, lambda text: "lost: 0 bytes" in text)
+            assert run.end() == GOOD
+    finally:
+        os.close(master)
+    statuses = re.findall(r"\x1b\[K(\d\d:\d\d:\d\d[^\r\n]*)", text)
+    assert len(statuses) >= 2
+    assert max(map(len, statuses)) < columns
+    parts = ["frames/s", "B/s", "skipped 0", "ring 0%"] if columns == 80 else ["frames/s"]
+    for part in parts:
+        assert part in statuses[-1]
+    # Below the last one, which is wiped away, stands nothing but the summary.
+    assert "frames/s" not in text.rsplit("\x1b[K", 1)[1]
+
+
+def test_noise_is_warned_of_in_one_line(tmp_path: Path, device: "Device") -> None:
+    with running(tmp_path, *log("run.pcapng")) as run:
+        run.wait_line("recording into")
+        device.write(b"\0" * 20_000)
+        line = run.wait_line("canser: ")
+        assert "are the baud rate and the protocol right?" in line
+        assert run.end(signal.SIGINT) == GOOD
+    assert any(line.startswith("skipped: marker") for line in run.err)
+
+
+@pytest.mark.usefixtures("device")
+def test_closed_streams(tmp_path: Path) -> None:
+    def without(fd: int) -> list[str]:
+        call = [sys.executable, "-m", "canser", *log("--duration", "0.1s", "--force", "run.pcapng")]
+        return ["sh", "-c", f'exec "$@" {fd}>&-', "sh", *call, *(["--json"] if fd == 1 else [])]
+
+    done = subprocess.run(without(2), cwd=tmp_path, capture_output=True, check=False)
+    assert (done.returncode, done.stdout) == (GOOD, b"")
+    assert content(tmp_path / "run.pcapng") == b""
+    done = subprocess.run(without(1), cwd=tmp_path, capture_output=True, check=False)
+    assert done.returncode == BAD_CALL
+    assert b"the standard output is closed" in done.stderr
+
+
+@pytest.mark.usefixtures("device")
+def test_a_port_in_use(tmp_path: Path) -> None:
+    with running(tmp_path, *log("run.pcapng")) as first:
+        first.wait_line("recording into")
+        with running(tmp_path, *log("two.pcapng")) as second:
+            assert second.end() == BAD_CALL
+        assert first.end(signal.SIGINT) == GOOD
+    assert len(second.err) == 1
+    assert "open in another program" in second.err[0]
+    assert [path.name for path in recordings(tmp_path)] == ["run.pcapng"]
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (["run.bin"], "must end in .pcapng"),
+        (["there.pcapng"], "--force replaces it"),
+        (["nowhere/run.pcapng"], "No such file"),
+        (["run.pcapng", "--size", "100X"], "cannot read the size"),
+        (["run.pcapng", "--size", "5"], "too small"),
+        (["run.pcapng", "--time", "soon"], "cannot read the time"),
+        (["run.pcapng", "--time", "0"], "1 or more"),
+        (["run.pcapng", "--keep", "3"], "give their size or time"),
+        (["run.pcapng", "--before", "5s"], "name one with --trigger"),
+        (["run.pcapng", "--trigger", "12Q:7FF"], "cannot read the filter"),
+        (["run.pcapng", "--bitrate", "123"], "is none of the adapter's"),
+        (["run.pcapng", "--mode", "silent"], "give its bitrate"),
+        (["run.pcapng", "--mode", "quiet"], "invalid choice"),
+        (["run.pcapng", "--adapter-filter", "123"], "write ID:MASK"),
+        (["run.pcapng", "--baudrate", "0"], "1 or more"),
+        (["run.pcapng", "--ping", "1s"], "know no ping"),
+        (["run.pcapng", "-c", "/dev/nothing"], "there is no port"),
+        (["run.pcapng", "-c", "ftp://x"], "cannot open"),
+        (["run.pcapng", "-p", "seed"], "unknown protocol"),
+        ([], "OUT"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+@pytest.mark.usefixtures("device")
+def test_typos(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    more: list[str],
+    words: str,
+) -> None:
+    (tmp_path / "there.pcapng").write_text("old")
+    monkeypatch.chdir(tmp_path)
+    code, line = fails(capfd, *log(*more))
+    assert code == BAD_CALL
+    assert words in line
+    assert [path.name for path in recordings(tmp_path)] == ["there.pcapng"]
+    assert (tmp_path / "there.pcapng").read_text() == "old"

@@ -1,0 +1,217 @@
+"""`canser send`, `play` and `ports` as their users run them."""
+
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from serial.tools.list_ports_common import ListPortInfo
+
+import canser
+from canser.cli import main
+from canser.formats.candump import Writer, frames_of
+from canser.recordings.recording import RecordingInfo, RecordingWriter
+from canser.simulation.traffic import vehicle
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
+
+if sys.platform != "win32":
+    from beside import fails, running
+    from device import Device
+
+GOOD, BAD_DATA, BAD_CALL = 0, 1, 2
+
+
+@pytest.fixture
+def device(tmp_path: Path) -> Iterator["Device"]:
+    with Device(tmp_path / "dev") as made:
+        yield made
+
+
+def call(name: str, *more: str, protocol: str = "seeed") -> list[str]:
+    return [name, "-c", "dev", "-p", protocol, *more]
+
+
+def test_send_what_the_call_names(tmp_path: Path, device: "Device") -> None:
+    texts = ["123#DEADBEEF", "18FEF100#01.02", "7E0#R8", "001#"]
+    with running(tmp_path, *call("send", *texts)) as run:
+        assert run.end() == GOOD
+    wanted = canser.encode(frames_of(texts), "seeed")
+    assert device.read(len(wanted)) == wanted
+    assert run.err == ["4 frames sent to dev"]
+    assert run.out == []
+
+
+def test_send_configures_first(tmp_path: Path, device: "Device") -> None:
+    with running(tmp_path, *call("send", "--bitrate", "250000", "123#01")) as run:
+        assert run.end() == GOOD
+    sent = device.read(26)
+    said = canser.adapters.report("seeed", sent[:20])
+    assert (said.kind, said.bitrate) == ("configuration", 250_000)
+    assert sent[20:] == canser.encode(frames_of(["123#01"]), "seeed")
+    assert run.err == ["1 frame sent to dev"]
+
+
+def test_send_in_a_format_with_times(tmp_path: Path, device: "Device") -> None:
+    with running(tmp_path, *call("send", "123#0102", "20000080#00", protocol="serial")) as run:
+        assert run.end() == GOOD
+    frames = canser.decode(device.read(13 + 12), "serial")
+    assert frames["id"].tolist() == [0x123, 0x80]
+    assert frames["err"].tolist() == [False, True]
+
+
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (call("send", "123"), "'123' is no frame; write 123#DEADBEEF"),
+        (call("send", "123#01", "124#0"), "'124#0' is no frame"),
+        (call("send", "124##0"), "CAN FD"),
+        (call("send", "FFF#01"), "the id 0xfff is over 0x7ff"),
+        (call("send", "123#010203040506070809"), "dlc 9"),
+        (call("send", "18FEF100#", protocol="cantalope"), "extended"),
+        (call("send", "20000080#00"), "error"),
+        (call("send"), "FRAME"),
+        (call("send", "-c", "/dev/nothing", "123#"), "there is no port"),
+        (call("play", "nothing.log"), "No such file"),
+        (call("play", "there.log", "--speed", "0"), "more than 0"),
+        (call("play", "there.log", "--speed", "2", "--gap", "3"), "not allowed with"),
+        (call("play", "there.log", "--gap", "-1"), "0 or more"),
+        (call("play", "there.log", "--gap", "few"), "no number"),
+        (call("play", "-", "--loop"), "--loop needs a file"),
+        (call("play", "there.log", "-c", "/dev/nothing"), "there is no port"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_typos(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    arguments: list[str],
+    words: str,
+) -> None:
+    (tmp_path / "there.log").write_text("(0.0) can0 123#01\n")
+    monkeypatch.chdir(tmp_path)
+    code, line = fails(capfd, *arguments)
+    assert code == BAD_CALL
+    assert words in line
+
+
+def write_log(path: Path, frames: canser.frames.FrameArray) -> None:
+    with path.open("wb") as file:
+        Writer(file).write(frames)
+
+
+def test_play_a_log_at_its_times(tmp_path: Path, device: "Device") -> None:
+    frames = vehicle(0.5)
+    write_log(tmp_path / "run.log", frames)
+    wanted = canser.encode(frames, "seeed")
+    with running(tmp_path, *call("play", "run.log")) as run:
+        assert device.read(len(wanted)) == wanted
+        assert run.end() == GOOD
+    assert run.err[0] == f"{len(frames):,} frames sent to dev"
+    assert run.err[1].startswith("timing error: mean ")
+    assert len(run.err) == 2
+
+
+def test_times_go_out_from_zero_on(tmp_path: Path, device: "Device") -> None:
+    frames = frames_of(["123#01", "124#02", "125#03"])
+    frames["ts"] = np.array([1_700_000_000_000, 1_700_000_000_100, 1_700_000_000_300]) * 1_000_000
+    write_log(tmp_path / "run.log", frames)
+    with running(tmp_path, *call("play", "run.log", "--speed", "2", protocol="serial")) as run:
+        got = canser.decode(device.read(3 * 12), "serial")
+        assert run.end() == GOOD
+    assert (got["ts"] // 1_000_000).tolist() == [0, 50, 150]
+
+
+def test_play_a_recording_of_another_protocol(tmp_path: Path, device: "Device") -> None:
+    frames = vehicle(0.2, extended=False)
+    info = RecordingInfo("cantalope", 115_200, None, "ms", "/dev/other")
+    with RecordingWriter(tmp_path / "run.pcapng", info) as recording:
+        recording.write(canser.encode(frames, "cantalope"), 1_700_000_000_000_000_000)
+    wanted = canser.encode(frames, "seeed")
+    with running(tmp_path, *call("play", "run.pcapng")) as run:
+        assert device.read(len(wanted)) == wanted
+        assert run.end() == GOOD
+
+
+def test_play_raw_bytes_as_fast_as_the_line_takes_them(tmp_path: Path, device: "Device") -> None:
+    wanted = canser.encode(vehicle(1), "seeed")
+    (tmp_path / "run.bin").write_bytes(wanted)
+    with running(tmp_path, *call("play", "run.bin")) as run:
+        assert device.read(len(wanted)) == wanted
+        assert run.end() == GOOD
+    assert run.err[1].startswith("they have no times: sent as fast as the line took them; --gap")
+
+
+def test_play_over_and_over_until_a_signal(tmp_path: Path, device: "Device") -> None:
+    frames = frames_of(["123#01", "124#02"])
+    frames["ts"] = [0, 5_000_000]
+    write_log(tmp_path / "run.log", frames)
+    wanted = canser.encode(frames, "seeed")
+    with running(tmp_path, *call("play", "run.log", "--loop")) as run:
+        assert device.read(len(wanted) * 5) == wanted * 5
+        assert run.end(signal.SIGINT) == GOOD
+    assert "rounds" in run.err[0]
+
+
+def test_play_with_a_gap(tmp_path: Path, device: "Device") -> None:
+    frames = frames_of(["123#01"] * 5)
+    frames["ts"] = 0
+    (tmp_path / "run.bin").write_bytes(canser.encode(frames, "serial"))
+    with running(tmp_path, *call("play", "run.bin", "--gap", "20", protocol="serial")) as run:
+        got = canser.decode(device.read(5 * 12), "serial")
+        assert run.end() == GOOD
+    assert (got["ts"] // 1_000_000).tolist() == [0, 20, 40, 60, 80]
+
+
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("", "holds no frame"), ("(0.0) can0 123#01\n(0.1) can0 20000080#00\n", "the frames before")],
+)
+def test_files_that_cannot_be_played(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "run.log").write_text(text)
+    with running(tmp_path, *call("play", "run.log", "--loop")) as run:
+        assert run.end() == BAD_DATA
+    assert len(run.err) == 1
+    assert words in run.err[0]
+
+
+def test_unplugged_while_playing(tmp_path: Path, device: "Device") -> None:
+    write_log(tmp_path / "run.log", vehicle(60))
+    with running(tmp_path, *call("play", "run.log")) as run:
+        device.read(100)
+        device.unplug()
+        assert run.end() == BAD_DATA
+    assert len(run.err) == 1
+    assert "gone" in run.err[0]
+
+
+def test_ports_are_a_table(
+    monkeypatch: pytest.MonkeyPatch, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    found = [
+        ListPortInfo("/dev/ttyUSB10"),
+        ListPortInfo("/dev/ttyUSB2"),
+    ]
+    found[0].description, found[0].hwid = "n/a", "USB VID:PID=1A86:7523"
+    found[1].description, found[1].hwid = "USB2.0-Serial", "n/a"
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: found)
+    assert main(["ports"]) == GOOD
+    assert capfdbinary.readouterr() == (
+        b"/dev/ttyUSB2   USB2.0-Serial\n/dev/ttyUSB10                 USB VID:PID=1A86:7523\n",
+        b"",
+    )
+
+
+def test_no_port_is_said(
+    monkeypatch: pytest.MonkeyPatch, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    monkeypatch.setattr("serial.tools.list_ports.comports", list)
+    assert main(["ports"]) == GOOD
+    out, err = capfdbinary.readouterr()
+    assert out == b""
+    assert err.startswith(b"no serial port is plugged in")

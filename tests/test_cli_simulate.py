@@ -1,0 +1,244 @@
+"""`canser simulate` as its users run it: another process opens what it names."""
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+import canser
+from canser.simulation.traffic import damage, vehicle
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
+
+GOOD, BAD_DATA, BAD_CALL = 0, 1, 2
+
+# A command that hangs is a failure, on the slowest machine too.
+PATIENCE = 60
+
+
+class Command:
+    """The running command, and what it has printed in the end."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.process = process
+        assert process.stdout is not None
+        self.url = process.stdout.readline().rstrip("\n")
+
+    def end(self, number: signal.Signals | None = None) -> tuple[int, list[str], str]:
+        """Return the exit code, the lines on standard error, and the rest of the output."""
+        if number is not None:
+            self.process.send_signal(number)
+        out, err = self.process.communicate(timeout=PATIENCE)
+        return self.process.returncode, err.splitlines(), out
+
+
+def arguments(*more: str) -> list[str]:
+    return [sys.executable, "-m", "canser", "simulate", *more]
+
+
+@contextmanager
+def simulate(folder: Path, *more: str) -> Iterator[Command]:
+    with subprocess.Popen(
+        arguments(*more), cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            yield Command(process)
+        finally:
+            process.kill()
+
+
+def fails(folder: Path, *more: str) -> tuple[int, str]:
+    """Run the command; return its exit code and its one line."""
+    done = subprocess.run(
+        arguments(*more), cwd=folder, capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    assert done.stderr.startswith("canser")
+    return done.returncode, done.stderr
+
+
+def read(url: str, count: int) -> bytes:
+    """Return so many bytes of a terminal, fewer at a hangup."""
+    fd = os.open(url, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        waiting = select.poll()
+        waiting.register(fd, select.POLLIN)
+        data = b""
+        while len(data) < count:
+            assert waiting.poll(PATIENCE * 1000), f"{len(data)} bytes of {count} came"
+            part = os.read(fd, count - len(data))
+            if not part:
+                break
+            data += part
+        return data
+    finally:
+        os.close(fd)
+
+
+@pytest.mark.parametrize("protocol", canser.protocols())
+def test_a_file_goes_out_whole_and_is_reported(tmp_path: Path, protocol: str) -> None:
+    frames = vehicle(2, extended=protocol != "cantalope")
+    clean = canser.encode(frames, protocol)
+    (tmp_path / "run.bin").write_bytes(clean)
+    options = ("--traffic", "run.bin", "--pace", "max", "--copy", "sent.bin")
+    with simulate(tmp_path, "-p", protocol, *options, "--report", "sent.json") as command:
+        data = read(command.url, len(clean))
+        code, said, rest = command.end()
+    assert (code, rest) == (GOOD, "")
+    assert data == clean == (tmp_path / "sent.bin").read_bytes()
+    assert said == [f"{len(frames):,} frames, {len(clean):,} bytes sent"]
+    report = json.loads((tmp_path / "sent.json").read_text())
+    assert report["frames"] == report["frames_intact"] == len(frames)
+    assert report["bytes_sent"] == len(clean)
+    assert report["bytes_unread"] == 0
+    assert report["configuration"] is None
+
+
+def test_a_log_by_its_own_times(tmp_path: Path) -> None:
+    log = "(1.000000) can0 123#11\n(1.300000) can0 123#22\n(1.500000) can0 124#R\n"
+    (tmp_path / "run.log").write_text(log)
+    begin = time.monotonic()
+    with simulate(tmp_path, "-p", "serial", "--traffic", "run.log", "--pace", "traffic") as command:
+        frames = canser.decode(read(command.url, 14 + 14 + 13), "serial")
+        assert command.end()[0] == GOOD
+    assert time.monotonic() - begin >= 0.5
+    assert frames["id"].tolist() == [0x123, 0x123, 0x124]
+    assert frames["ts"].tolist() == [1_000_000_000, 1_300_000_000, 1_500_000_000]
+
+
+def test_faults_by_the_seed(tmp_path: Path) -> None:
+    hit = damage(canser.encode(vehicle(1), "seeed"), noise=0.01, loss=0.02, seed=(7, 1))
+    faults = ("--noise", "0.01", "--loss", "0.02", "--stall", "100:0.2", "--seed", "7")
+    with simulate(tmp_path, "-p", "seeed", "--seconds", "1", *faults) as command:
+        data = read(command.url, len(hit.data))
+        code, said, _ = command.end()
+    assert code == GOOD
+    assert data == hit.data
+    assert said[1].startswith(
+        f"faults: bytes lost {len(hit.lost):,}, added {len(hit.inserted):,}, "
+        f"flipped {len(hit.flipped):,}; frames without any: "
+    )
+    assert said[2] == "stalls: 1"
+
+
+def test_seconds_beyond_a_round_go_on(tmp_path: Path) -> None:
+    with simulate(tmp_path, "-p", "serial", "--seconds", "61", "--pace", "max") as command:
+        count = len(canser.encode(vehicle(60), "serial")) + len(canser.encode(vehicle(1), "serial"))
+        frames = canser.decode(read(command.url, count), "serial")
+        assert command.end()[0] == GOOD
+    assert len(frames) == len(vehicle(60)) + len(vehicle(1))
+    assert frames["ts"].max() >= 60_900_000_000
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_it_in_order(tmp_path: Path, number: signal.Signals) -> None:
+    options = ("--link", "device", "--copy", "sent.bin", "--report", "-")
+    with simulate(tmp_path, "-p", "seeed", *options) as command:
+        assert command.url == "device"
+        data = read(str(tmp_path / "device"), 10_000)
+        code, said, out = command.end(number)
+    assert code == GOOD
+    report = json.loads(out)
+    sent = (tmp_path / "sent.bin").read_bytes()
+    assert len(sent) == report["bytes_sent"] == len(data) + report["bytes_unread"]
+    assert sent.startswith(data)
+    assert said[0].endswith(f" frames, {len(sent):,} bytes sent")
+    assert not os.path.lexists(tmp_path / "device")
+
+
+def test_a_signal_before_any_host(tmp_path: Path) -> None:
+    with simulate(tmp_path, "-p", "seeed") as command:
+        assert command.end(signal.SIGINT) == (GOOD, ["0 frames, 0 bytes sent"], "")
+
+
+def test_a_host_that_leaves_does_not_keep_it(tmp_path: Path) -> None:
+    with simulate(tmp_path, "-p", "seeed", "--seconds", "0.2", "--pace", "max") as command:
+        assert len(read(command.url, 10)) == 10
+        code, said, _ = command.end()
+    assert code == GOOD
+    sent = len(canser.encode(vehicle(0.2), "seeed"))
+    assert said[0] == f"{len(vehicle(0.2)):,} frames, {sent:,} bytes sent"
+    assert said[1] == f"not read by the host: {sent - 10:,} of the bytes sent"
+
+
+def test_what_the_host_sends_is_told(tmp_path: Path) -> None:
+    frame, ping = canser.encode(vehicle(1, extended=False)[:1], "cantalope"), b"\xff\xff\0"
+    (tmp_path / "few.bin").write_bytes(frame)
+    options = ("--traffic", "few.bin", "--loop", "--echo", "--baudrate", "100000")
+    with simulate(tmp_path, "-p", "cantalope", *options) as command:
+        fd = os.open(command.url, os.O_RDWR | os.O_NOCTTY)
+        try:
+            os.write(fd, ping + frame)
+            data = b""
+            while ping not in data:
+                data += os.read(fd, 4096)
+            code, said, _ = command.end(signal.SIGINT)
+        finally:
+            os.close(fd)
+    assert code == GOOD
+    assert said[1] == (
+        "from the host: frames 1, ping 1, bytes skipped 0; "
+        f"sent back: {len(frame) + len(ping):,} bytes"
+    )
+
+
+ERRORS = {
+    "no protocol": ([], BAD_CALL, "-p/--protocol"),
+    "unknown protocol": (["-p", "x"], BAD_CALL, "cantalope, seeed, serial"),
+    "noise": (["-p", "seeed", "--noise", "2"], BAD_CALL, "--noise: 2 must be 0 to 1"),
+    "not a number": (["-p", "seeed", "--loss", "x"], BAD_CALL, "--loss: 'x' is no number"),
+    "nan": (["-p", "seeed", "--seconds", "nan"], BAD_CALL, "nan must be 0 or more"),
+    "baudrate": (["-p", "seeed", "--baudrate", "0"], BAD_CALL, "0 must be 1 or more"),
+    "stall": (["-p", "seeed", "--stall", "5"], BAD_CALL, "'5' is no stall"),
+    "negative stall": (["-p", "seeed", "--stall", "5:-1"], BAD_CALL, "'5:-1' is no stall"),
+    "no file": (["-p", "seeed", "--traffic", "no.log"], BAD_CALL, "no.log: No such file"),
+    "no frame": (["-p", "seeed", "--traffic", "empty.bin"], BAD_DATA, "no frame in empty.bin"),
+    "bad file": (["-p", "seeed", "--traffic", "bad.log"], BAD_DATA, "bad.log"),
+    "seconds of a file": (
+        ["-p", "seeed", "--traffic", "empty.bin", "--seconds", "1"],
+        BAD_CALL,
+        "--seconds is for traffic that is made",
+    ),
+    "loop of nothing": (["-p", "seeed", "--loop"], BAD_CALL, "--loop repeats a file"),
+    "loop of a pipe": (
+        ["-p", "seeed", "--loop", "--traffic", "-"],
+        BAD_CALL,
+        "standard input can be read only once",
+    ),
+    "copy is there": (["-p", "seeed", "--copy", "bad.log"], BAD_CALL, "--force replaces it"),
+    "link is a file": (["-p", "seeed", "--link", "bad.log"], BAD_CALL, "bad.log: there already"),
+}
+
+
+@pytest.mark.parametrize(("call", "code", "words"), ERRORS.values(), ids=ERRORS)
+def test_errors_are_one_line(tmp_path: Path, call: list[str], code: int, words: str) -> None:
+    (tmp_path / "empty.bin").write_bytes(b"")
+    (tmp_path / "bad.log").write_text("nonsense\n")
+    found, message = fails(tmp_path, *call)
+    assert words in message
+    assert found == code
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.log", "empty.bin"]
+
+
+def test_what_the_protocol_cannot_carry_ends_it(tmp_path: Path) -> None:
+    (tmp_path / "run.log").write_text("(1.0) can0 12345678#11\n")
+    done = subprocess.run(
+        arguments("-p", "cantalope", "--traffic", "run.log", "--copy", "sent.bin"),
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        check=False,
+    )
+    assert done.returncode == BAD_DATA
+    assert len(done.stderr.splitlines()) == 1
+    assert "extended" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["run.log"]
