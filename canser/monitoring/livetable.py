@@ -1,0 +1,243 @@
+"""The live table: what came of each id, how often and how evenly, and which bytes change."""
+
+import re
+import threading
+from typing import Final, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, match
+
+__all__ = ["COLUMNS", "ROW_DTYPE", "LiveTable", "RowArray", "choose", "ordered"]
+
+RowArray = npt.NDArray[np.void]
+
+ROW_DTYPE: Final[np.dtype[np.void]] = np.dtype(
+    [
+        ("id", np.uint32),
+        ("ext", np.bool_),
+        ("rtr", np.bool_),
+        ("err", np.bool_),
+        ("dlc", np.uint8),  # of the last frame, as are data and ts
+        ("data", np.uint8, (8,)),
+        ("ts", np.int64),
+        ("count", np.int64),
+        ("changed", np.int64, (8,)),  # the time of the frame that last changed a byte, or NO_TIME
+        ("period", np.float64),  # nanoseconds, NaN for not known
+        ("jitter", np.float64),  # nanoseconds, NaN for not known
+    ],
+    align=True,
+)
+
+# What rows can be sorted by.
+COLUMNS: Final = ("id", "count", "period", "jitter", "dlc", "ts")
+
+# An interval counts half as much once so many others came after it: long enough for a
+# steady figure, short enough to follow an id that changes its pace.
+_HALF: Final = 32
+_KEEP: Final = 0.5 ** (1 / _HALF)
+
+# A wrong baud rate makes up new ids without end. Frames of more ids than these are counted,
+# and have no row.
+_IDS_MOST: Final = 1 << 14
+
+_PREFIX = re.compile("[0-9A-Fa-f]{1,8}")
+
+_Places = npt.NDArray[np.intp]
+_Scalar = TypeVar("_Scalar", bound=np.generic)
+
+
+class LiveTable:
+    """A row for each kind of frame: id, ext, rtr and err. Safe for several threads.
+
+    A remote frame or an error frame is not of the same kind as the data frame with its id: it
+    has a period of its own, and no data that could change.
+
+    `period` is the mean of the intervals from one frame to the next, `jitter` their standard
+    deviation; both are weighted: an interval counts half as much after 32 more. Times that are
+    not known, and steps back, make no interval. `period` is known from the second frame on,
+    `jitter` from the third.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._empty()
+
+    def _empty(self) -> None:
+        self._frames = self._others = 0
+        self._rows = np.zeros(0, ROW_DTYPE)
+        # Weighted sums of the intervals' powers 0, 1 and 2.
+        self._sums = np.zeros((3, 0))
+        self._keys = np.zeros(0, np.uint32)  # in order
+        self._places = np.zeros(0, np.intp)  # of these keys among the rows
+
+    @property
+    def frames(self) -> int:
+        """How many frames were added since the last `clear`."""
+        return self._frames
+
+    @property
+    def others(self) -> int:
+        """How many of them have no row, as there are 16,384 already."""
+        return self._others
+
+    def clear(self) -> None:
+        """Forget all."""
+        with self._lock:
+            self._empty()
+
+    def rows(self) -> RowArray:
+        """Return a copy of all rows: ROW_DTYPE, shape (n,), standard ids first, then by id."""
+        with self._lock:
+            rows = self._rows[self._places]
+            weight, first, second = self._sums[:, self._places]
+        with np.errstate(invalid="ignore"):
+            mean = first / weight
+            variance = np.maximum(second / weight - mean * mean, 0)
+        rows["period"] = mean
+        rows["jitter"] = np.where(weight > 1, np.sqrt(variance), np.nan)
+        return rows
+
+    def add(self, frames: FrameArray) -> None:
+        """Take frames, in the order in which they came: FRAME_DTYPE, shape (n,)."""
+        if not len(frames):
+            return
+        with self._lock:
+            self._frames += len(frames)
+            keys = _keys(frames)
+            order = np.argsort(keys, kind="stable")
+            starts = _starts(keys[order])
+            places = self._find(keys[order[starts]])
+            unknown = np.repeat(places < 0, np.diff(starts, append=len(order)))
+            if unknown.any():
+                self._others += int(unknown.sum())
+                order, places = order[~unknown], places[places >= 0]
+                starts = _starts(keys[order])
+            if len(order):
+                self._add(frames[order], starts, places)
+
+    def _add(self, frames: FrameArray, starts: npt.NDArray[np.intp], places: _Places) -> None:
+        """Take frames in the order of their rows; `starts`: where those of each place start."""
+        counts = np.diff(starts, append=len(frames))
+        old = self._rows[places]
+        new = starts[old["count"] == 0]
+
+        dlc = _behind(frames["dlc"], old["dlc"], starts)
+        changed = frames["data"] != _behind(frames["data"], old["data"], starts)
+        at = np.arange(8)
+        # A byte that appears or goes away has changed, too.
+        changed |= (at < frames["dlc"][:, None]) != (at < dlc[:, None])
+        changed[new] = False
+        times = np.where(changed, frames["ts"][:, None], NO_TIME)
+        newest = np.maximum(np.maximum.reduceat(times, starts), old["changed"])
+
+        ts = frames["ts"]
+        before = _behind(ts, old["ts"], starts)
+        before[new] = NO_TIME
+        good = (before != NO_TIME) & (ts >= before)
+        self._add_intervals((ts - before)[good], np.add.reduceat(good, starts, dtype=int), places)
+
+        last = frames[starts + counts - 1]
+        for name in FRAME_DTYPE.names or ():
+            old[name] = last[name]
+        old["count"] += counts
+        old["changed"] = newest
+        self._rows[places] = old
+
+    def _add_intervals(
+        self, intervals: npt.NDArray[np.int64], counts: npt.NDArray[np.int_], places: _Places
+    ) -> None:
+        """Take intervals in the order of their rows, `counts` of each place."""
+        later = np.repeat(np.cumsum(counts), counts) - 1 - np.arange(len(intervals))
+        weights = _KEEP**later
+        group = np.repeat(np.arange(len(places)), counts)
+        sums = self._sums[:, places] * _KEEP**counts
+        for power in range(3):
+            sums[power] += np.bincount(group, weights, len(places))
+            weights = weights * intervals
+        self._sums[:, places] = sums
+
+    def _find(self, keys: npt.NDArray[np.uint32]) -> _Places:
+        """Return the rows of distinct keys in order, new ones too; -1 where there is no room."""
+        at = np.searchsorted(self._keys, keys)
+        found = at < len(self._keys)
+        found[found] = self._keys[at[found]] == keys[found]
+        if not found.all():
+            room = _IDS_MOST - len(self._keys)
+            new = np.flatnonzero(~found)[:room]
+            end = len(self._keys) + len(new)
+            places = np.arange(len(self._keys), end)
+            self._keys = np.insert(self._keys, at[new], keys[new])
+            self._places = np.insert(self._places, at[new], places)
+            if end > len(self._rows):
+                self._grow(2 * end)
+            at = np.searchsorted(self._keys, keys)
+            found[new] = True
+        result = np.full(len(keys), -1, np.intp)
+        result[found] = self._places[at[found]]
+        return result
+
+    def _grow(self, size: int) -> None:
+        more = np.zeros(size - len(self._rows), ROW_DTYPE)
+        more["changed"] = NO_TIME
+        self._rows = np.concatenate([self._rows, more])
+        self._sums = np.hstack([self._sums, np.zeros((3, len(more)))])
+
+
+def _keys(frames: FrameArray) -> npt.NDArray[np.uint32]:
+    """Return a number for the kind of each frame; their order is that of the rows."""
+    keys: npt.NDArray[np.uint32] = frames["id"] << np.uint32(1)
+    for bit, name in ((31, "err"), (30, "ext"), (0, "rtr")):
+        keys |= frames[name].astype(np.uint32) << np.uint32(bit)
+    return keys
+
+
+def _starts(keys: npt.NDArray[np.uint32]) -> npt.NDArray[np.intp]:
+    """Return where the runs of equal keys start."""
+    return np.flatnonzero(np.append(True, keys[1:] != keys[:-1])[: len(keys)])
+
+
+def _behind(
+    values: npt.NDArray[_Scalar], first: npt.NDArray[_Scalar], starts: npt.NDArray[np.intp]
+) -> npt.NDArray[_Scalar]:
+    """Return for each value the one before it, `first` for those at `starts`."""
+    before = np.empty_like(values)
+    before[1:] = values[:-1]
+    before[starts] = first
+    return before
+
+
+def ordered(rows: RowArray, by: str, *, descending: bool = False) -> RowArray:
+    """Return rows sorted by one of `COLUMNS`; equal ones stay, what is not known comes last."""
+    if by == "id":
+        return rows[::-1] if descending else rows
+    values = rows[by]
+    if descending:
+        # Of an integer the complement: unlike the negative it never overflows.
+        values = ~values if values.dtype.kind in "iu" else -values
+    return rows[np.argsort(values, kind="stable")]
+
+
+def choose(rows: RowArray, text: str) -> npt.NDArray[np.bool_]:
+    """Mark the rows that pass a filter: the notation of `match`, or the first digits of an id.
+
+    Several, with blanks or commas between: those that pass any. `18F` passes the standard id
+    0x18F and all extended ids from 0x18F00000 to 0x18FFFFFF; those of error frames have eight
+    digits, too. No filter passes all. ValueError for one that cannot be read.
+    """
+    terms = text.replace(",", " ").split()
+    filters = [term for term in terms if not _PREFIX.fullmatch(term)]
+    passed = np.full(len(rows), not terms)
+    if filters:
+        frames = np.zeros(len(rows), FRAME_DTYPE)
+        for name in ("id", "ext", "rtr", "err"):
+            frames[name] = rows[name]
+        passed |= match(frames, *filters)
+    digits = np.where(rows["ext"] | rows["err"], 8, 3)
+    for prefix in terms:
+        if _PREFIX.fullmatch(prefix):
+            left = 4 * (digits - len(prefix))
+            head = rows["id"] >> np.maximum(left, 0).astype(np.uint32)
+            passed |= (left >= 0) & (head == int(prefix, 16))
+    return passed
