@@ -1,0 +1,1 @@
+"""Plugins for python-can: a bus, and readers of captures. Loaded by python-can only."""

@@ -1,0 +1,379 @@
+"""A bus of python-can over a live port: `can.Bus(interface="canser", ...)`."""
+
+import logging
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from threading import Lock
+from typing import Any, Final, cast
+
+import can
+import numpy as np
+import numpy.typing as npt
+from can.broadcastmanager import CyclicSendTaskABC, ThreadBasedCyclicSendTask
+from can.typechecking import AutoDetectedConfig, CanFilters, Channel
+
+from canser._binding import find_protocol
+from canser.codec import protocols, tick_ns
+from canser.errors import PortError, SendTimeoutError
+from canser.frames import NO_TIME, FrameArray, flaw
+from canser.live import ports
+from canser.python_can._messages import Row, frames_of, rows
+
+__all__ = ["CanserBus"]
+
+_LOG: Final = logging.getLogger("can.canser")
+
+# What python-can's tools and configuration files give to every bus, and means nothing here.
+_MEANINGLESS: Final = {"fd", "single_handle", "timeout"}
+
+# Frames taken from the port at a time.
+_BATCH: Final = 4096
+
+# Seconds from which on a time of a message is one of day, since 1970, and before which it is.
+_DAYS_FROM: Final = 1_000_000_000
+_DAYS_TO: Final = 1 << 32
+
+_TICKS: Final = 1 << 32
+
+# A filter's id and mask, and the kind of frame that it wants, None for any.
+_Rule = tuple[np.int64, np.int64, bool | None]
+
+
+class _Descriptor(int):
+    """A number that takes attributes: python-can's test of its serial bus sets one on it."""
+
+
+class _UntilShutdown:
+    """A bus for the threads that send periodically.
+
+    They are told to stop, and not waited for, before the port is closed: who is about to
+    send just then shall not fail.
+    """
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self._bus = bus
+
+    def send(self, msg: can.Message) -> None:
+        try:
+            self._bus.send(msg)
+        except can.CanOperationError:
+            if not self._bus._is_shutdown:
+                raise
+
+
+class CanserBus(can.BusABC):
+    """A serial CAN adapter as a bus of python-can.
+
+    Messages carry the times that python-can's own bus of the format gives: those of the
+    device's clock in seconds where the format has one, else the host's, since 1970.
+    As there, their channel is None. `port` is the `canser.Port` beneath, with its counters.
+
+    As every bus of python-can it may send and receive in two threads at once; a
+    `can.ThreadSafeBus` may be used by more.
+    """
+
+    def __init__(
+        self,
+        channel: Channel,
+        can_filters: CanFilters | None = None,
+        *,
+        protocol: str | None = None,
+        baudrate: int | None = None,
+        bitrate: int | None = None,
+        mode: str = "normal",
+        frame_type: str = "all",
+        filter_id: int = 0,
+        filter_mask: int = 0,
+        once: bool = False,
+        ts_unit: str = "ms",
+        device_time: bool | None = None,
+        reconnect: bool = False,
+        ping: float | None = None,
+        **kwargs: Any,
+    ) -> None:
+        """Open a port as a bus.
+
+        `channel`: the port's URL. `protocol`: what the adapter speaks, a name of
+        `canser.protocols()`. `device_time`: whether messages have times of the device's
+        clock (the default where the format has one), or all of the host's. The others as for
+        `canser.open`. What else is given is left alone, as python-can's buses do, and told
+        in the log.
+
+        ValueError and TypeError for a value that is not possible, CanInitializationError
+        for a port that cannot be opened, CanInterfaceNotImplementedError without pyserial.
+        """
+        if not isinstance(channel, str):
+            raise TypeError(f"channel is {channel!r}; it must be the URL of a port, such as COM3")
+        if not channel:
+            raise ValueError("channel is empty; it must be the URL of a port, such as /dev/ttyUSB0")
+        if protocol is None:
+            raise ValueError(f"protocol is missing; give one of {', '.join(protocols())}")
+        if kwargs.get("fd"):
+            raise ValueError("fd is True, but serial adapters know classic CAN only; leave it out")
+        for name in kwargs.keys() - _MEANINGLESS:
+            _LOG.warning("%s means nothing to the interface canser and is left alone", name)
+        row = find_protocol(protocol)
+        self._clocked, self._unit, self._tick_ns = row.has_clock, ts_unit, tick_ns(ts_unit)
+        self._settings: dict[str, Any] = {
+            "mode": mode,
+            "frame_type": frame_type,
+            "filter_id": filter_id,
+            "filter_mask": filter_mask,
+            "once": once,
+        }
+        try:
+            self.port = ports.open(
+                channel,
+                protocol,
+                baudrate=baudrate,
+                bitrate=bitrate,
+                ts_unit=ts_unit,
+                device_time=row.has_clock if device_time is None else device_time,
+                reconnect=reconnect,
+                ping=ping,
+                **self._settings,
+            )
+        except PortError as error:
+            raise can.CanInitializationError(str(error)) from error
+        except ImportError as error:
+            raise can.CanInterfaceNotImplementedError(str(error)) from error
+        self.channel_info = f"{channel}, {row.name}"
+        self._can_protocol = can.CanProtocol.CAN_20
+        self._rules: list[_Rule] = []
+        self._queue: deque[Row] = deque()
+        self._sieve: object = None  # the filters that all in the queue have passed
+        self._watched = False  # somebody has the descriptor
+        self._lock = Lock()  # for the queue as a whole; not held while anybody waits
+        try:
+            super().__init__(channel, can_filters)
+        except BaseException:
+            self.port.close()
+            raise
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if not self._queue:
+            self._fill(timeout)
+        try:
+            row = self._queue.popleft()  # a single step: no lock is needed
+        except IndexError:
+            return None, True
+        if self._watched and not self._queue:
+            self._set_ready()
+        # If the filters have changed meanwhile python-can applies the new ones.
+        return can.Message(*row), self._sieve is self._filters
+
+    def _fill(self, timeout: float | None) -> None:
+        """Put frames that pass the filters into the queue, or none after the time-out."""
+        sieve = self._filters
+        frames = self._read(_BATCH, timeout)
+        with self._lock:
+            # Another thread may have put some there, by other filters.
+            self._sieve = None if self._queue and sieve is not self._sieve else sieve
+            self._queue.extend(rows(frames))
+        if self._watched:
+            self._set_ready()
+
+    def _read(self, max_frames: int, timeout: float | None) -> FrameArray:
+        """Return frames that pass the filters, at least one before the time-out."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            try:
+                frames = self.port.read_batch(max_frames=max_frames, timeout=timeout)
+            except PortError as error:
+                raise can.CanOperationError(str(error)) from error
+            if not len(frames):
+                return frames
+            if self._rules:
+                frames = frames[self._passes(frames)]
+            if len(frames):
+                return frames
+            timeout = None if deadline is None else deadline - time.monotonic()
+
+    def recv_batch(self, *, max_frames: int = _BATCH, timeout: float | None = None) -> FrameArray:
+        """Return the next frames, at most `max_frames`, as an array of `canser.FRAME_DTYPE`.
+
+        Waits for the first frame that passes the filters, at most `timeout` seconds
+        (None: for ever); then there may be none. A frame comes either here or as a message.
+        CanOperationError when the device is gone or the bus is shut down.
+        """
+        if not self._queue:
+            return self._read(max_frames, timeout)
+        if max_frames < 1:
+            raise ValueError(f"max_frames is {max_frames}; it must be 1 or more")
+        taken: list[Row] = []
+        with self._lock:
+            while self._queue and len(taken) < max_frames:
+                taken.append(self._queue.popleft())
+        if self._watched:
+            self._set_ready()
+        frames = frames_of(
+            (round(ts * 1e9), number, ext, rtr, err, dlc, bytes(data))
+            for ts, number, ext, rtr, err, _, dlc, data in taken
+        ).copy()
+        return frames[self._passes(frames)] if self._rules else frames
+
+    def _apply_filters(self, filters: CanFilters | None) -> None:
+        self._rules = [
+            (np.int64(rule["can_id"]), np.int64(rule["can_mask"]), rule.get("extended"))
+            for rule in filters or ()
+        ]
+
+    def _passes(self, frames: FrameArray) -> npt.NDArray[np.bool_]:
+        """Mark the frames that pass any of the filters, by python-can's rule."""
+        ids = frames["id"].astype(np.int64)
+        passed = np.zeros(len(frames), np.bool_)
+        for wanted, mask, extended in self._rules:
+            same = (ids ^ wanted) & mask == 0
+            passed |= same if extended is None else same & (frames["ext"] == extended)
+        return passed
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a message; returns when the system has taken it.
+
+        `timeout`: seconds to wait for that, None for as long as it takes. Where the format
+        has a time it is the message's, in ticks of the device's clock; a time of day, that is
+        one from 1,000,000,000 seconds on, modulo 2**32 ticks.
+
+        ValueError for what the format cannot carry: CAN FD, ids and times out of range,
+        data that is not as long as the dlc says, error frames where the format has none.
+        CanTimeoutError if the line does not take it in time, CanOperationError if the
+        device is gone or the bus is shut down.
+        """
+        rtr, dlc, data = msg.is_remote_frame, msg.dlc, bytes(msg.data)
+        if msg.is_fd:
+            raise ValueError("the message is one of CAN FD; serial adapters know classic CAN only")
+        wrong = flaw(msg.arbitration_id, msg.is_extended_id, dlc)
+        if wrong is not None:
+            raise ValueError(wrong)
+        if len(data) != (0 if rtr else dlc):
+            raise ValueError(f"the message has {len(data)} bytes of data, but its dlc is {dlc}")
+        ts = self._ticking(msg.timestamp) if self._clocked else NO_TIME
+        self._send(
+            frames_of(
+                [
+                    (
+                        ts,
+                        msg.arbitration_id,
+                        msg.is_extended_id,
+                        rtr,
+                        msg.is_error_frame,
+                        dlc,
+                        data,
+                    )
+                ]
+            ),
+            timeout,
+        )
+
+    def send_batch(self, frames: FrameArray, *, timeout: float | None = None) -> int:
+        """Send frames, an array of `canser.FRAME_DTYPE`, as `canser.Port.send`; return how many.
+
+        ValueError for a frame that the format cannot carry: nothing is sent then.
+        CanTimeoutError and CanOperationError as for `send`; their cause is the SendError
+        that tells how many frames went out.
+        """
+        return self._send(frames, timeout)
+
+    def _send(self, frames: FrameArray, timeout: float | None) -> int:
+        try:
+            return self.port.send(frames, timeout=timeout)
+        except SendTimeoutError as error:
+            # What has begun to go out goes out whole, before anything else.
+            if error.sent == len(frames):
+                return error.sent
+            raise can.CanTimeoutError(str(error)) from error
+        except PortError as error:
+            raise can.CanOperationError(str(error)) from error
+
+    def _ticking(self, seconds: float) -> int:
+        """Return the time of a message in nanoseconds, if the device's clock can show it."""
+        if not 0 <= seconds < _DAYS_TO:  # or it is NaN
+            raise ValueError(
+                f"the timestamp {seconds} is out of range; it must be 0 or more, in seconds"
+            )
+        ns = round(seconds * 1e9)
+        if ns >= _TICKS * self._tick_ns and seconds < _DAYS_FROM:
+            raise ValueError(
+                f"the timestamp {seconds} is out of range: a clock in {self._unit} ends at "
+                f"{(_TICKS - 1) * self._tick_ns / 1e9:.15g} seconds; use a coarser ts_unit"
+            )
+        return ns
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable while frames may be there, or the port is gone.
+
+        CanOperationError after `shutdown`, NotImplementedError on Windows.
+        """
+        if sys.platform == "win32":
+            raise NotImplementedError("Windows cannot wait for descriptors; use a timeout")
+        try:
+            number = _Descriptor(self.port.fileno())
+        except PortError as error:
+            raise can.CanOperationError(str(error)) from error
+        self._watched = True
+        self._set_ready()
+        return number
+
+    def _set_ready(self) -> None:
+        with self._lock:
+            self.port.hold_ready(bool(self._queue))
+
+    @property
+    def state(self) -> can.BusState:
+        """ACTIVE, or PASSIVE if the adapter was told to listen only.
+
+        It can be set where the adapter is configured, that is opened with a bitrate: else
+        NotImplementedError.
+        """
+        silent = "silent" in self._settings["mode"]
+        return can.BusState.PASSIVE if silent else can.BusState.ACTIVE
+
+    @state.setter
+    def state(self, new_state: can.BusState) -> None:
+        if new_state is self.state:
+            return
+        if self.port.bitrate is None or new_state is can.BusState.ERROR:
+            raise NotImplementedError(
+                f"this bus cannot be made {new_state}; open it with a bitrate to configure "
+                "its adapter"
+            )
+        mode = "silent" if new_state is can.BusState.PASSIVE else "normal"
+        try:
+            self.port.configure(bitrate=self.port.bitrate, **{**self._settings, "mode": mode})
+        except PortError as error:
+            raise can.CanOperationError(str(error)) from error
+        self._settings["mode"] = mode
+
+    def _send_periodic_internal(
+        self,
+        msgs: Sequence[can.Message] | can.Message,
+        period: float,
+        duration: float | None = None,
+        autostart: bool = True,
+        modifier_callback: Callable[[can.Message], None] | None = None,
+    ) -> CyclicSendTaskABC:
+        task = super()._send_periodic_internal(msgs, period, duration, False, modifier_callback)
+        assert isinstance(task, ThreadBasedCyclicSendTask)
+        task.bus = cast(can.BusABC, _UntilShutdown(self))
+        if autostart:
+            task.start()
+        return task
+
+    def shutdown(self) -> None:
+        """Stop periodic sending and close the port; a `recv` that waits ends with an error."""
+        super().shutdown()
+        self.port.close()
+
+    @staticmethod
+    def _detect_available_configs() -> Sequence[AutoDetectedConfig]:
+        # Nobody can tell what an adapter speaks before it has spoken.
+        return [
+            cast(
+                AutoDetectedConfig,
+                {"interface": "canser", "channel": port.url, "protocol": protocol},
+            )
+            for port in ports.list_ports()
+            for protocol in protocols()
+        ]
