@@ -2,25 +2,54 @@
 
 from canser.captures import Blocks, blocks, read
 from canser.codec import Control, Decoder, Stats, decode, encode, protocols
-from canser.errors import CanserError, FormatError
+from canser.errors import (
+    CanserError,
+    CanserWarning,
+    FormatError,
+    PortBusyError,
+    PortClosedError,
+    PortDeniedError,
+    PortError,
+    PortGoneError,
+    PortNotFoundError,
+    RecordingError,
+    SendError,
+    SendTimeoutError,
+)
 from canser.frames import FRAME_DTYPE, NO_TIME, match
 from canser.identify import Fit, identify
+from canser.live.ports import Gap, Port, PortInfo, list_ports, open  # noqa: A004 - as in gzip.open
 
 __all__ = [
     "FRAME_DTYPE",
     "NO_TIME",
     "Blocks",
     "CanserError",
+    "CanserWarning",
     "Control",
     "Decoder",
     "Fit",
     "FormatError",
+    "Gap",
+    "Port",
+    "PortBusyError",
+    "PortClosedError",
+    "PortDeniedError",
+    "PortError",
+    "PortGoneError",
+    "PortInfo",
+    "PortNotFoundError",
+    "RecordingError",
+    "SendError",
+    "SendTimeoutError",
     "Stats",
     "blocks",
     "decode",
     "encode",
     "identify",
+    "list_ports",
     "match",
+    "open",
     "protocols",
     "read",
 ]

@@ -19,7 +19,7 @@ import pytest
 import canser
 from canser import codec
 from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray
-from canser.traffic import line_noise, vehicle
+from canser.simulation.traffic import line_noise, vehicle
 
 PROTOCOLS = canser.protocols()
 SOME = vehicle(0.2, extended=False)

@@ -13,7 +13,7 @@ from canser.errors import FormatError
 from canser.files import RAW, FrameFile, format_of
 from canser.formats import BY_SUFFIX
 from canser.frames import FrameArray
-from canser.traffic import vehicle
+from canser.simulation.traffic import vehicle
 from reference import NO_TIME, Frame
 from samples import EPOCH, MICROSECOND, MILLISECOND, SECOND, array, listed, timed
 

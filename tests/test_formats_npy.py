@@ -13,7 +13,7 @@ import canser
 from canser.errors import FormatError
 from canser.formats import npy
 from canser.frames import FRAME_DTYPE
-from canser.traffic import vehicle
+from canser.simulation.traffic import vehicle
 from reference import Frame
 from samples import FRAMES, array, frames_or_error, listed
 

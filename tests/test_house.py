@@ -1,8 +1,10 @@
 """The arrows of the house: imports run one way, and `import canser` brings little."""
 
 import ast
+import importlib
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -13,26 +15,116 @@ PACKAGE = Path(canser.__file__).parent
 
 # The floors of the house. A module imports from the floors below its own only.
 FLOORS = [
-    ["canser._core", "canser.errors", "canser.frames", "canser._progress"],
+    [
+        "canser._core",
+        "canser._input",
+        "canser._progress",
+        "canser._signals",
+        "canser.errors",
+        "canser.frames",
+        "canser.live",
+        "canser.monitoring",
+        "canser.python_can",
+        "canser.recordings",
+        "canser.recordings.pcapng",
+        "canser.simulation",
+        "canser.live.ring",
+    ],
     [
         "canser._binding",
         "canser._output",
         "canser.formats._text",
         "canser.formats.npy",
+        "canser.live.line",
+        "canser.live.meter",
+        "canser.monitoring.livetable",
+        "canser.recordings.recording",
+        "canser.simulation._terminal",
         "canser.tally",
     ],
-    ["canser.parallel", "canser.sinks"],
-    ["canser.codec", "canser.formats.candump", "canser.formats.csv", "canser.traffic"],
-    ["canser.captures", "canser.formats", "canser.identify"],
-    ["canser.files", "canser.report"],
-    ["canser.convert", "canser"],
-    ["canser.cli"],
-    ["canser.__main__"],
+    [
+        "canser.adapters",
+        "canser.live.link",
+        "canser.parallel",
+        "canser.sinks",
+    ],
+    [
+        "canser.codec",
+        "canser.formats.candump",
+        "canser.formats.csv",
+        "canser.simulation.traffic",
+    ],
+    [
+        "canser.formats",
+        "canser.identify",
+        "canser.live.timing",
+        "canser.simulation._outgoing",
+    ],
+    [
+        "canser.live.stream",
+        "canser.recordings.recorded",
+        "canser.simulation.simulator",
+    ],
+    [
+        "canser.captures",
+        "canser.live.ports",
+    ],
+    [
+        "canser.files",
+        "canser.live.player",
+        "canser.recordings.recorder",
+        "canser.report",
+    ],
+    [
+        "canser.convert",
+        "canser.commands._common",
+        "canser",
+    ],
+    [
+        "canser.commands._port",
+        "canser.commands._screen",
+        "canser.monitoring._table",
+        "canser.python_can._messages",
+    ],
+    [
+        "canser.monitoring.monitor",
+    ],
+    [
+        "canser.commands.convert",
+        "canser.commands.dump",
+        "canser.commands.info",
+        "canser.commands.simulate",
+        "canser.commands.recover",
+        "canser.commands.log",
+        "canser.commands.send",
+        "canser.commands.play",
+        "canser.commands.ports",
+        "canser.commands.monitor",
+    ],
+    [
+        "canser.commands",
+    ],
+    [
+        "canser.cli",
+    ],
+    [
+        "canser.__main__",
+        "canser.python_can.bus",
+        "canser.python_can.logreader",
+    ],
 ]
 FLOOR = {module: number for number, modules in enumerate(FLOORS) for module in modules}
 
-# Packages that are imported where they are used, in a function, by this module only.
-WHERE_USED = {"rich": "canser._progress"}
+# Packages that are imported where they are used, in a function, by these modules only.
+WHERE_USED = {
+    "rich": {"canser._progress", "canser.monitoring._table", "canser.monitoring.monitor"},
+    "serial": {"canser.live.line", "canser.live.ports"},
+    "textual": {"canser.monitoring._table", "canser.monitoring.monitor"},
+}
+
+# Modules that other programs load, as plugins of theirs, and nobody here does: they import the
+# package of those programs right at their top.
+PLUGINS = {"can": {"canser.python_can.bus", "canser.python_can.logreader"}}
 
 
 def modules() -> list[tuple[str, ast.Module]]:
@@ -82,7 +174,30 @@ def test_only_the_binding_knows_the_compiled_module(name: str, tree: ast.Module)
 def test_other_packages_are_few(name: str, tree: ast.Module) -> None:
     known = {*sys.stdlib_module_names, "canser", "numpy", "typing_extensions"}
     others = {module.split(".")[0] for module in imports(tree)} - known
-    assert others <= {package for package, user in WHERE_USED.items() if user == name}
+    users = [*WHERE_USED.items(), *PLUGINS.items()]
+    assert others <= {package for package, modules in users if name in modules}
+
+
+def test_the_plugins_are_declared() -> None:
+    """Where the tests run and the package is not installed, those of the plugins are skipped."""
+    pytest.importorskip("can")
+    project = PACKAGE.parent / "pyproject.toml"
+    if not project.exists():
+        pytest.skip("the package is installed, and its declarations are elsewhere")
+    declared = tomllib.loads(project.read_text(encoding="utf-8"))["project"]["entry-points"]
+    modules = set()
+    for group in declared.values():
+        for target in group.values():
+            module, _, name = target.partition(":")
+            modules.add(module)
+            assert isinstance(getattr(importlib.import_module(module), name), type)
+    assert modules == set().union(*PLUGINS.values())
+    assert set(declared) == {"can.interface", "can.io.message_reader"}
+
+
+def test_nobody_imports_a_plugin() -> None:
+    plugins = set().union(*PLUGINS.values())
+    assert not {name for name, tree in MODULES if imports(tree) & plugins}
 
 
 def test_import_canser_brings_numpy_and_cffi_only() -> None:
@@ -90,7 +205,8 @@ def test_import_canser_brings_numpy_and_cffi_only() -> None:
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(run.stdout.split())
     assert {"canser", "numpy"} <= loaded
-    unwanted = {"serial", "can", "pandas", "pyarrow", "rich", "matplotlib", "argparse"}
+    unwanted = {"serial", "asyncio", "can", "pandas", "pyarrow", "rich", "textual", "matplotlib"}
+    unwanted |= {"argparse"}
     assert not unwanted & loaded
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import canser
-from canser.traffic import line_noise, vehicle
+from canser.simulation.traffic import line_noise, vehicle
 
 
 @pytest.mark.parametrize("protocol", canser.protocols())

@@ -30,7 +30,7 @@ from canser import _binding, captures, codec, parallel, sinks
 from canser._binding import Chunk, Stream
 from canser.frames import FRAME_DTYPE, FrameArray
 from canser.parallel import Ahead
-from canser.traffic import line_noise, vehicle
+from canser.simulation.traffic import line_noise, vehicle
 from reference import ID_EXT_MAX, ID_MAX, TICK_NS, Frame
 
 PROTOCOLS = canser.protocols()

@@ -1,26 +1,40 @@
 """What the README shows works as it stands there."""
 
 import re
+import sys
 from pathlib import Path
 
 import pytest
 
 import canser
-from canser.traffic import line_noise, vehicle
+from canser.simulation.simulator import Simulator
+from canser.simulation.traffic import line_noise, vehicle
 
 README = Path(__file__).parents[1] / "README.md"
 
 
+BLOCKS = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+
+
 @pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
 def test_the_lines_of_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
     monkeypatch.chdir(tmp_path)
     for name, protocol in (("run.bin", "serial"), ("week.bin", "seeed")):
         Path(name).write_bytes(line_noise(canser.encode(vehicle(2), protocol)))
+    files, live, bus = BLOCKS
     names: dict[str, object] = {}
-    exec(code, names)
+    exec(files, names)
     assert len(names["frames"]) > 3000  # type: ignore[arg-type]
     assert names["count"]
+    # The loop that goes on for ever ends after a batch.
+    live = live.replace("    ...\n", "    break\n")
+    names["frames"] = vehicle(1)  # those of the first lines have seen noise
+    for code in (live, bus):
+        with Simulator("seeed", vehicle(2), loop=True) as device:
+            exec(code.replace("/dev/ttyUSB0", device.url), names)
+    assert len(names["batch"]) >= 100  # type: ignore[arg-type]
+    assert names["message"]
 
 
 def test_the_commands_are_those_of_the_makefile() -> None:
