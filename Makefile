@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 BUILT  := setup.py pyproject.toml $(wildcard csrc/*)
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint bench soak clean
 
 demo: $(VENV)/.built ## make captures of a simulated adapter, decode them, print a table
 	$(BIN)/python examples/demo.py
@@ -22,6 +22,11 @@ lint: $(VENV)/.lint ## run the linters
 bench: $(VENV)/.bench ## print what is reached and what must be; plot time against size
 	$(BIN)/python bench/table.py
 	$(BIN)/python bench/growth.py --plot build/growth.png
+	$(BIN)/python bench/port.py
+
+soak: $(VENV)/.bench $(VENV)/.test ## an hour of a line at 2 Mbaud for each protocol; 1,000 kills
+	$(BIN)/python bench/soak.py
+	CANSER_KILLS=1000 $(BIN)/python -m pytest -q -s tests/test_recording_kill.py
 
 clean:
 	rm -rf $(VENV) build dist canser.egg-info canser/_core.*.so canser/_core.*.pyd

@@ -3,7 +3,7 @@
 import numpy as np
 
 from canser.frames import FRAME_DTYPE, FrameArray
-from canser.traffic import vehicle
+from canser.simulation.traffic import vehicle
 
 
 def mixed(count: int, protocol: str) -> FrameArray:
