@@ -24,12 +24,15 @@ __all__ = ["main"]
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="canser",
-        description="Decode and encode the byte streams of serial CAN adapters.",
+        description="Decode, encode, record and simulate the byte streams of serial CAN adapters.",
         epilog="examples:\n"
         "  canser info run.bin                          what is in it, in which protocol\n"
         "  canser convert run.bin run.log -p seeed      raw bytes to a candump log\n"
         "  canser convert run.log run.bin -p serial     and back\n"
-        "  canser dump run.bin -p seeed --filter 123:7FF | head\n\n"
+        "  canser dump run.bin -p seeed --filter 123:7FF | head\n"
+        "  canser log -c /dev/ttyUSB0 -p seeed run.pcapng   record a port\n"
+        "  canser monitor -c /dev/ttyUSB0 -p seeed      watch it\n"
+        "  canser simulate -p seeed                     be an adapter, without hardware\n\n"
         f"protocols: {', '.join(protocols())}\n"
         "exit codes: 0 good, 1 the data is bad, 2 the call is wrong",
         formatter_class=argparse.RawDescriptionHelpFormatter,
