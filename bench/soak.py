@@ -37,10 +37,9 @@ ROOM = 1 << 16
 FILE_SIZE = 50_000_000
 KEEP = 3
 
-# Minutes of the line after which memory and descriptors are what they shall stay; the
-# allocator's own ups and downs are a few MiB.
-WARM = 10
-MEMORY_SLACK = 8 << 20
+# Minutes of the line after which memory and descriptors are what they shall stay.
+WARM = 6
+MEMORY_SLACK = 4 << 20
 
 
 @contextmanager

@@ -261,16 +261,13 @@ def test_a_device_that_comes_back_as_something_else_is_an_error(
 # Ports that are not to be had
 
 
-def as_nobody(call: Callable[[], object]) -> str:
-    """Call in a process of a user with no rights; return the error's kind and message."""
+def in_a_child(call: Callable[[], object]) -> str:
+    """Call in a forked process; return the error's kind and message."""
     reading, writing = os.pipe()
     child = os.fork()
     if not child:
         text = "no error"
         try:
-            os.setgroups([])
-            os.setgid(65534)
-            os.setuid(65534)
             call()
         except BaseException as error:  # noqa: BLE001 - told to the parent
             text = f"{type(error).__name__}: {error}"
@@ -282,6 +279,18 @@ def as_nobody(call: Callable[[], object]) -> str:
         text = pipe.read().decode()
     os.waitpid(child, 0)
     return text
+
+
+def as_nobody(call: Callable[[], object]) -> str:
+    """Call in a process of a user with no rights; return the error's kind and message."""
+
+    def call_without_rights() -> None:
+        os.setgroups([])
+        os.setgid(65534)
+        os.setuid(65534)
+        call()
+
+    return in_a_child(call_without_rights)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
@@ -520,26 +529,6 @@ def test_a_handler_may_close_the_port_at_any_place() -> None:
 
 
 # Fork
-
-
-def in_a_child(call: Callable[[], object]) -> str:
-    """Call in a forked process; return the error's kind and message."""
-    reading, writing = os.pipe()
-    child = os.fork()
-    if not child:
-        text = "no error"
-        try:
-            call()
-        except BaseException as error:  # noqa: BLE001 - told to the parent
-            text = f"{type(error).__name__}: {error}"
-        finally:
-            os.write(writing, text.encode())
-            os._exit(0)
-    os.close(writing)
-    with os.fdopen(reading, "rb") as pipe:
-        text = pipe.read().decode()
-    os.waitpid(child, 0)
-    return text
 
 
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
