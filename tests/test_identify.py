@@ -1,9 +1,13 @@
 """Which protocol fits: the right one, and none where there is none."""
 
+import os
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
 import canser
+from canser.frames import FRAME_DTYPE
 from canser.simulation.traffic import line_noise, vehicle
 
 
@@ -65,3 +69,43 @@ def test_large_data_is_looked_at_all_over_and_quickly() -> None:
 def test_the_same_bytes_give_the_same_answer() -> None:
     raw = canser.encode(vehicle(1), "seeed")
     assert canser.identify(raw) == canser.identify(raw)
+
+
+# Buses of each kind: few here, as each takes some milliseconds; 50 in .ci/run.
+BUSES = int(os.environ.get("CANSER_BUSES", "3"))
+
+
+def quiet_buses(protocol: str, id_count: int, dlc: int, *, counter: bool) -> Iterator[bytes]:
+    """Yield captures of 600 frames with constant data or a counter in their last byte."""
+    number = np.arange(600)
+    for seed in range(BUSES):
+        rng = np.random.default_rng([id_count, dlc, counter, seed])
+        which = number % id_count
+        frames = np.zeros(600, FRAME_DTYPE)
+        frames["id"] = rng.choice(0x800, id_count, replace=False)[which]
+        frames["dlc"] = dlc
+        frames["data"] = rng.integers(0, 256, (id_count, 8), np.uint8)[which]
+        if counter and dlc:
+            frames["data"][:, dlc - 1] = number // id_count
+        frames["ts"] = rng.integers(1 << 32) * 1_000_000 + number * 10_000_000
+        yield canser.encode(frames, protocol)
+
+
+def holds_in_any_order(raw: bytes) -> bool:
+    """Return whether these bytes are frames of cantalope in whatever order they stand."""
+    return bool((np.frombuffer(raw, np.uint8) & 0xF <= 8).all())
+
+
+@pytest.mark.parametrize("counter", [False, True], ids=["constant", "counter"])
+@pytest.mark.parametrize("id_count", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("protocol", canser.protocols())
+def test_a_quiet_bus_is_never_named_as_another(protocol: str, id_count: int, counter: bool) -> None:
+    for dlc in range(9):
+        for raw in quiet_buses(protocol, id_count, dlc, counter=counter):
+            best = canser.identify(raw)[0]
+            if best.fits:
+                assert best.protocol == protocol
+            else:
+                # Their order is all that tells such bytes from random ones.
+                assert protocol == "cantalope"
+                assert holds_in_any_order(raw)
