@@ -19,6 +19,9 @@ assert WINDOW % mmap.ALLOCATIONGRANULARITY == 0
 # What is read at a time from what cannot be mapped, such as a pipe.
 CHUNK = 1 << 18
 
+# Of what cannot be read twice the first bytes are kept: enough to tell what they are.
+HEAD_LEN = 1 << 16
+
 
 class Input:
     """The bytes of a file by their offsets, a part of it at a time, going forward.
@@ -26,9 +29,17 @@ class Input:
     Offsets count from where the file stands. A regular file is mapped; of any other, what
     lies before the last offset asked for is forgotten. A context manager: a file that was
     given by its path is closed at the end.
+
+    The size of a mapped file is measured again before each window of it: OSError where the
+    file got shorter. If it gets shorter while a window is being read, the system ends the
+    process (SIGBUS): no program can rule that out for a mapped file. Copy a file that
+    another program may cut, or give it opened by `gzip.open`, a pipe or `io.BytesIO`.
+
+    TypeError for what is neither a path nor a file open for reading bytes.
     """
 
     def __init__(self, source: Source) -> None:
+        _check_source(source)
         self._opened: BinaryIO | None = None
         if isinstance(source, (str, os.PathLike)):
             # Unbuffered: a pipe's bytes are handed on as they come.
@@ -43,6 +54,7 @@ class Input:
         self._read = getattr(self.file, "read1", None) or self.file.read
         self._base = 0  # the offset of the view's first byte
         self._view = memoryview(b"")
+        self._head = bytearray()  # the first bytes of what cannot be mapped
 
     def __enter__(self) -> Self:
         return self
@@ -83,13 +95,29 @@ class Input:
         assert self.size is not None
         if self.size <= self.start:
             return memoryview(b"")  # nothing is there to be mapped
+        self.check_size()
         whole = mmap.mmap(self.file.fileno(), self.size, access=mmap.ACCESS_READ)
         return memoryview(whole)[self.start :]
+
+    def sample(self) -> memoryview:
+        """Return bytes by which to tell what they are: all of a mapped file, else the first."""
+        return self.map_whole() if self.size is not None else memoryview(self._head).toreadonly()
+
+    def check_size(self) -> None:
+        """Raise OSError if a mapped file is shorter than it was when it was opened."""
+        assert self.size is not None
+        size = os.fstat(self.file.fileno()).st_size
+        if size < self.size:
+            raise OSError(
+                f"{self.name} got shorter while it was read: {size:,} of {self.size:,} bytes are "
+                "left; copy a file that another program changes, and read the copy"
+            )
 
     def _move(self, offset: int, length: int) -> None:
         if self.size is None:
             self._read_on(offset, length)
             return
+        self.check_size()
         place = self.start + offset
         aligned = place - place % mmap.ALLOCATIONGRANULARITY
         end = min(max(aligned + WINDOW, place + length), self.size)
@@ -108,13 +136,38 @@ class Input:
         while held < length and (more := self._read(CHUNK)):
             parts.append(more)
             held += len(more)
+            if len(self._head) < HEAD_LEN:
+                self._head += more[: HEAD_LEN - len(self._head)]
         # What is read at once is not copied.
         whole = parts[1] if len(parts) == 2 and not parts[0] else b"".join(parts)
         self._base, self._view = offset, memoryview(whole)
 
 
+def _check_source(source: object) -> None:
+    """Raise TypeError unless this is a path or a file open for reading bytes."""
+    if isinstance(source, (str, os.PathLike)):
+        return
+    wanted = "give a path, or a file open for reading bytes"
+    if isinstance(source, io.TextIOBase):
+        name = getattr(source, "name", "the file")
+        raise TypeError(f"{name} is open for text; open it for bytes: open(path, 'rb')")
+    if isinstance(source, (bytes, bytearray, memoryview, mmap.mmap)):
+        raise TypeError(f"{wanted}, not {type(source).__name__}; canser.decode takes the bytes")
+    if isinstance(source, int) and not isinstance(source, bool):
+        raise TypeError(f"{wanted}, not a descriptor; open it: open({source}, 'rb')")
+    if not callable(getattr(source, "read", None)):
+        raise TypeError(f"{wanted}, not {type(source).__name__}")
+    readable = getattr(source, "readable", None)
+    if callable(readable) and not getattr(source, "closed", False) and not readable():
+        raise TypeError(f"{getattr(source, 'name', 'the file')} is not open for reading; {wanted}")
+
+
 def _regular_size(file: BinaryIO) -> int | None:
-    """Return the size of a file that can be mapped, None for any other."""
+    """Return the size of a file that can be mapped, None for any other.
+
+    A file that says it is empty is read as a pipe is: the files of /proc, and some of
+    those of FUSE, do not know their size.
+    """
     # Others may have a descriptor too, and give other bytes than it: gzip's, say.
     if not isinstance(getattr(file, "raw", file), io.FileIO):
         return None
@@ -122,4 +175,4 @@ def _regular_size(file: BinaryIO) -> int | None:
         status = os.fstat(file.fileno())
     except (AttributeError, OSError):  # io.UnsupportedOperation is an OSError
         return None
-    return status.st_size if stat.S_ISREG(status.st_mode) else None
+    return status.st_size or None if stat.S_ISREG(status.st_mode) else None
