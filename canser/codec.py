@@ -2,6 +2,7 @@
 
 import operator
 import threading
+import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -12,6 +13,8 @@ import numpy.typing as npt
 
 from canser import _binding
 from canser._binding import BytesLike, Chunk, Control, Offsets, Pointer
+from canser.doubt import is_doubtful
+from canser.errors import CanserWarning
 from canser.frames import FRAME_DTYPE, FrameArray
 from canser.parallel import STRETCH, Ahead
 from canser.sinks import FixedArray, GrowingArray, Sink
@@ -318,6 +321,7 @@ def decode(
     out: FrameArray | None = None,
     offsets: Offsets | None = None,
     threads: int = 1,
+    as_is: bool = False,
 ) -> FrameArray:
     """Decode a whole buffer, to its end.
 
@@ -327,11 +331,35 @@ def decode(
     with the position of each frame's first byte. `ts_unit` as for `Decoder`. `threads`:
     how many may work on it; the result is the same for any number.
 
+    A CanserWarning tells where so many bytes lie in no packet that the protocol is not theirs,
+    as `blocks` describes it; `as_is` leaves it out.
+
     ValueError if `out` or `offsets` is too small, with the number that is needed;
     other errors as for `Decoder.feed_into`. For the counters use a `Decoder`.
     """
     check_threads(threads)
     decoder = Decoder(protocol, ts_unit=ts_unit)
+    frames = decode_with(decoder, data, out=out, offsets=offsets, threads=threads)
+    if not as_is and is_doubtful(decoder.protocol, decoder.position, decoder.skipped):
+        warnings.warn(
+            f"{decoder.skipped / decoder.position:.0%} of the {decoder.position:,} bytes are in no "
+            f"{decoder.protocol} packet; canser.identify tells which protocol fits, and "
+            "as_is=True accepts them",
+            CanserWarning,
+            stacklevel=2,
+        )
+    return frames
+
+
+def decode_with(
+    decoder: Decoder,
+    data: BytesLike,
+    *,
+    out: FrameArray | None = None,
+    offsets: Offsets | None = None,
+    threads: int = 1,
+) -> FrameArray:
+    """Decode a whole buffer by a new decoder, as `decode` does, without its warning."""
     source = _binding.input_bytes(data)
     if out is None and offsets is None:
         return decoder._collect(source, ends=True, threads=threads)

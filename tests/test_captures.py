@@ -14,6 +14,8 @@ import pytest
 
 import canser
 from canser import _input, captures
+from canser.captures import NoProtocolError
+from canser.errors import CanserWarning, FormatError
 from canser.frames import FRAME_DTYPE, FrameArray
 from canser.simulation.traffic import line_noise, vehicle
 
@@ -232,3 +234,141 @@ def test_memory_stays_bounded(tmp_path: Path) -> None:
     )
     unit = 1 if sys.platform == "darwin" else 1024
     assert int(run.stdout) * unit < 64 << 20
+
+
+@pytest.mark.parametrize(
+    "source", [b"\xaa", bytearray(3), memoryview(b"x"), None, 3, io.StringIO("x"), 1.5]
+)
+def test_what_is_no_file_is_refused_by_name(source: object) -> None:
+    for reads in (canser.read, canser.blocks):
+        with pytest.raises(TypeError, match=r"give a path, or a file|open it for bytes"):
+            reads(cast(BinaryIO, source), "seeed")
+
+
+def test_a_file_open_for_writing_or_for_text_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.bin"
+    with path.open("wb") as file, pytest.raises(TypeError, match=r"x\.bin is not open for reading"):
+        canser.read(file, "seeed")
+    with path.open() as text, pytest.raises(TypeError, match=r"x\.bin is open for text"):
+        canser.read(cast(BinaryIO, text), "seeed")
+
+
+def test_an_empty_ts_unit_is_an_error_everywhere(tmp_path: Path) -> None:
+    path, _ = capture_of("serial", tmp_path, 0.2)
+    for reads in (canser.read, canser.blocks):
+        with pytest.raises(ValueError, match="unknown ts_unit ''"):
+            reads(path, "serial", ts_unit="")
+
+
+def test_a_file_that_gets_shorter_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_input, "WINDOW", mmap.ALLOCATIONGRANULARITY)
+    path, _ = capture_of("serial", tmp_path)
+    size = path.stat().st_size
+    with canser.blocks(path, "serial", out=np.empty(10, FRAME_DTYPE)) as run:
+        next(run)
+        os.truncate(path, size - 1000)
+        with pytest.raises(OSError, match=rf"serial\.bin got shorter .* of {size:,} bytes"):
+            list(run)
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="files of /proc are Linux's")
+def test_a_file_that_does_not_know_its_size_is_read_as_a_pipe() -> None:
+    path = Path("/proc/self/environ")
+    assert path.stat().st_size == 0
+    with canser.blocks(path, "seeed", as_is=True) as run:
+        list(run)
+        assert run.decoder.stats.bytes_in == len(path.read_bytes()) > 0
+
+
+WRONG = [(have, want) for have in PROTOCOLS for want in PROTOCOLS if have != want]
+
+
+@pytest.mark.parametrize(("protocol", "wrong"), WRONG)
+def test_the_wrong_protocol_is_one_warning(protocol: str, wrong: str, tmp_path: Path) -> None:
+    path, _ = capture_of(protocol, tmp_path)
+    look = rf"{protocol}\.bin: \d+% of the .* in no {wrong} packet; they look like {protocol} \("
+    with pytest.warns(CanserWarning, match=look) as told:
+        frames = canser.read(path, wrong)
+    assert len(told) == 1
+    assert told[0].filename == __file__
+    blocks = canser.blocks(path, wrong)
+    with pytest.warns(CanserWarning, match=look) as told:
+        parts = list(blocks)
+    assert list(blocks) == []
+    assert len(told) == 1
+    assert told[0].filename == __file__
+    with pytest.warns(CanserWarning, match=f"in no {wrong} packet") as told:
+        assert np.array_equal(canser.decode(path.read_bytes(), wrong), frames)
+    assert len(told) == 1
+    assert np.array_equal(np.concatenate([frames[:0], *parts]), frames)
+    # These say nothing: warnings are errors here.
+    canser.read(path, wrong, as_is=True)
+    list(canser.blocks(path, wrong, as_is=True))
+    canser.decode(path.read_bytes(), wrong, as_is=True)
+    decoder = canser.Decoder(wrong)
+    decoder.feed(path.read_bytes())
+    decoder.flush()
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_noisy_line_is_no_wrong_protocol(protocol: str) -> None:
+    frames = vehicle(3, extended=protocol != "cantalope")
+    for seed in range(5):
+        canser.decode(line_noise(canser.encode(frames, protocol), rate=0.01, seed=seed), protocol)
+    canser.decode(bytes(999), protocol)  # too few bytes to tell anything by
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_auto_reads_what_fits_plainly_and_says_which(protocol: str, tmp_path: Path) -> None:
+    path, want = capture_of(protocol, tmp_path)
+    for auto in ("auto", "AUTO"):
+        with pytest.warns(CanserWarning, match=rf"\.bin: read as {protocol} \(\d+%\)") as told:
+            assert np.array_equal(canser.read(path, auto), want)
+        assert len(told) == 1
+        assert told[0].filename == __file__
+    for source in (path, OnlyRead(path.read_bytes())):
+        with pytest.warns(CanserWarning, match=f"read as {protocol}") as told:
+            blocks = list(canser.blocks(cast(BinaryIO, source), "auto"))
+        assert np.array_equal(np.concatenate(blocks), want)
+        assert told[0].filename == __file__
+
+
+def test_auto_does_not_guess(tmp_path: Path) -> None:
+    path = tmp_path / "run.bin"
+    path.write_bytes(line_noise(canser.encode(vehicle(3), "serial"), rate=0.03))
+    assert 0.5 < canser.identify(path.read_bytes())[0].score < 0.9
+    with pytest.raises(NoProtocolError, match=r"look like serial \(\d+%\); give protocol='serial'"):
+        canser.read(path, "auto")
+    path.write_bytes(np.random.default_rng(1).bytes(5000))
+    with pytest.raises(NoProtocolError, match="no protocol that canser knows; give protocol="):
+        canser.read(path, "auto")
+    path.write_bytes(b"")
+    with pytest.warns(CanserWarning, match=r"run\.bin: is empty"):
+        assert len(canser.read(path, "auto")) == 0
+
+
+@pytest.mark.parametrize("protocol", [None, "seeed", "auto"])
+@pytest.mark.parametrize(
+    ("head", "message"),
+    [
+        (b"(1544106679.432583) can0 562#122DF953813CA2\n" * 9, "candump log.*convert"),
+        (b"date Sam Sep 30 15:06:13.191 2017\nbase hex  timestamps absolute\n", "ASC.*can_logconv"),
+        (b";$FILEVERSION=2.1\n;$STARTTIME=43008.920986006946\n", "TRC.*can_logconvert"),
+        (gzip.compress(b"x" * 99), "gzip.*gunzip"),
+        (b"LOGG\x90\0\0\0" * 9, "BLF.*can_logconvert"),
+        (b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n1,2,false\n", "GVRET"),
+        (b"dear diary, today nothing came over the bus\n", "a text"),
+    ],
+)
+def test_other_formats_are_named_with_what_reads_them(
+    head: bytes, message: str, protocol: str | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.x"
+    path.write_bytes(head)
+    for reads in (canser.read, canser.blocks):
+        with pytest.raises(FormatError, match=rf"run\.x is .*{message}"):
+            reads(path, protocol)
+    if protocol == "seeed":
+        assert len(canser.read(path, protocol, as_is=True)) == 0

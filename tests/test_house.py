@@ -21,6 +21,7 @@ FLOORS = [
         "canser._progress",
         "canser._signals",
         "canser.errors",
+        "canser.foreign",
         "canser.frames",
         "canser.live",
         "canser.monitoring",
@@ -44,6 +45,7 @@ FLOORS = [
     ],
     [
         "canser.adapters",
+        "canser.doubt",
         "canser.live.link",
         "canser.parallel",
         "canser.sinks",
@@ -66,8 +68,11 @@ FLOORS = [
         "canser.simulation.simulator",
     ],
     [
-        "canser.captures",
+        "canser.judge",
         "canser.live.ports",
+    ],
+    [
+        "canser.captures",
     ],
     [
         "canser.files",

@@ -96,8 +96,8 @@ def test_every_kind_of_frame(tmp_path: Path) -> None:
 
 def test_what_is_given_wins(tmp_path: Path) -> None:
     path = raw(tmp_path / "run.bin", "serial")
-    with can.LogReader(path, protocol="seeed") as reader:
-        assert_equal(list(reader), canser.read(path, "seeed"))
+    with can.LogReader(path, protocol="seeed", as_is=True) as reader:
+        assert_equal(list(reader), canser.read(path, "seeed", as_is=True))
     with can.LogReader(path, protocol="serial", ts_unit="us") as reader:
         assert_equal(list(reader), canser.read(path, "serial", ts_unit="us"))
 
@@ -133,7 +133,26 @@ def test_a_file_is_read_from_where_it_stands(tmp_path: Path) -> None:
             assert_equal(list(reader), canser.read(path, "seeed")[10:])
 
 
-def test_a_pipe_needs_its_protocol() -> None:
+def test_the_wrong_protocol_is_a_warning(tmp_path: Path) -> None:
+    path = raw(tmp_path / "run.bin", "serial")
+    with (
+        can.LogReader(path, protocol="seeed") as reader,
+        pytest.warns(CanserWarning, match=r"run\.bin: .* look like serial \(\d+%\)") as told,
+    ):
+        list(reader)
+    assert len(told) == 1
+
+
+def test_the_log_tells_which_protocol_was_found(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = raw(tmp_path / "run.bin", "seeed")
+    with can.LogReader(path) as reader:
+        list(reader)
+    assert "run.bin: read as seeed (100%)" in caplog.text
+
+
+def test_a_pipe_is_judged_by_its_first_bytes() -> None:
     bytes_ = canser.encode(traffic("seeed"), "seeed")
 
     class Pipe(io.BytesIO):
@@ -145,8 +164,10 @@ def test_a_pipe_needs_its_protocol() -> None:
 
     with CaptureReader(Pipe(bytes_), protocol="seeed") as reader:
         assert_equal(list(reader), canser.decode(bytes_, "seeed"))
-    pipe = Pipe(bytes_)
-    with pytest.raises(NoProtocolError, match="raw bytes"):
+    with CaptureReader(Pipe(bytes_)) as reader:
+        assert_equal(list(reader), canser.decode(bytes_, "seeed"))
+    pipe = Pipe(np.random.default_rng(1).bytes(5000))
+    with pytest.raises(NoProtocolError, match="no protocol"):
         CaptureReader(pipe)
     assert not pipe.closed  # it is the caller's
 
@@ -162,7 +183,7 @@ def test_nothing_has_no_messages(tmp_path: Path, suffix: str) -> None:
 def test_what_fits_no_protocol_is_an_error(tmp_path: Path) -> None:
     path = tmp_path / "noise.bin"
     path.write_bytes(np.random.default_rng(1).integers(0, 256, 100_000, np.uint8).tobytes())
-    with pytest.raises(ValueError, match=r"noise\.bin is no recording.*give protocol="):
+    with pytest.raises(ValueError, match=r"noise\.bin: these bytes look like no .*give protocol="):
         can.LogReader(path)
     with pytest.raises(ValueError, match="unknown protocol 'morse'"):
         can.LogReader(path, protocol="morse")

@@ -202,9 +202,12 @@ def test_damage_is_left_out_and_told(tmp_path: Path) -> None:
 def test_what_is_given_wins(tmp_path: Path) -> None:
     _, raw, pieces = traffic("serial")
     path = record(tmp_path / "run.pcapng", pieces, replace(INFO, protocol="seeed", ts_unit="us"))
-    got = canser.read(path, "serial", ts_unit="ms")
+    for reads in (canser.read, canser.blocks):
+        with pytest.raises(ValueError, match=r"run\.pcapng is a recording in seeed, not in serial"):
+            reads(path, "serial")
+    got = canser.read(path, "serial", ts_unit="ms", as_is=True)
     assert np.array_equal(untimed(got), untimed(canser.decode(raw, "serial")))
-    with canser.blocks(path, "python-can") as blocks:
+    with canser.blocks(path, "python-can", as_is=True) as blocks:
         assert blocks.decoder.protocol == "serial"
         assert "ts_unit='us'" in repr(blocks.decoder)
 
@@ -215,18 +218,20 @@ def test_a_recording_of_a_later_protocol_is_named(tmp_path: Path) -> None:
         canser.read(path)
     with pytest.raises(RecordingError, match="'canopus'"):
         canser.blocks(path)
-    assert len(canser.read(path, "seeed")) == 0
+    assert len(canser.read(path, "seeed", as_is=True)) == 0
 
 
 def test_raw_bytes_need_a_protocol(tmp_path: Path) -> None:
     path = tmp_path / "run.bin"
     path.write_bytes(canser.encode(vehicle(1), "seeed"))
-    with pytest.raises(NoProtocolError, match=r"run\.bin holds raw bytes.*identify") as caught:
+    with pytest.raises(
+        NoProtocolError, match=r"look like seeed .*protocol='seeed' or 'auto'$"
+    ) as caught:
         canser.read(path)
     assert isinstance(caught.value, ValueError)
-    with pytest.raises(NoProtocolError, match="raw bytes"):
+    with pytest.raises(NoProtocolError, match=r"run\.bin: these bytes look like seeed"):
         canser.blocks(path)
-    with pytest.raises(NoProtocolError, match="raw bytes"):
+    with pytest.raises(NoProtocolError, match="look like no protocol"):
         canser.blocks(cast(BinaryIO, io.BytesIO(b"\x0a\x0d\x0d\x0abut nothing else")))
 
 

@@ -1,8 +1,8 @@
 """Captures as logs of python-can: `can.LogReader` and its tools read them, by their suffix."""
 
+import logging
 import warnings
 from collections.abc import Iterator
-from contextlib import suppress
 from io import BufferedIOBase
 from itertools import starmap
 from typing import BinaryIO, Final, cast
@@ -12,16 +12,15 @@ import numpy as np
 from can.io.generic import BinaryIOMessageReader
 from can.typechecking import StringPathLike
 
-from canser.captures import Blocks, NoProtocolError, Source, blocks
+from canser.captures import Blocks, Source
 from canser.errors import CanserWarning
 from canser.frames import FRAME_DTYPE
-from canser.identify import identify
+from canser.judge import AUTO
 from canser.python_can._messages import rows
 
 __all__ = ["CaptureReader"]
 
-# What is looked at to tell the protocol of raw bytes.
-_SAMPLE: Final = 1 << 20
+_LOG: Final = logging.getLogger("can.canser")
 
 # Frames that are made messages at a time.
 _BATCH: Final = 4096
@@ -42,54 +41,44 @@ class CaptureReader(BinaryIOMessageReader):
         *,
         protocol: str | None = None,
         ts_unit: str | None = None,
+        as_is: bool = False,
     ) -> None:
         """Open a capture.
 
-        `file`: a path, or a file open for reading bytes. `protocol`, `ts_unit` as for
-        `canser.blocks`; raw bytes are looked at if there is no protocol, as by
-        `canser.identify`.
-
-        NoProtocolError, a ValueError, for bytes of which nobody knows the protocol;
-        RecordingError for pcapng that is none of canser's; OSError for a file that cannot
-        be read.
+        `file`: a path, or a file open for reading bytes. `protocol`, `ts_unit`, `as_is`,
+        warnings and errors as for `canser.blocks`. Without a protocol it is "auto", and the
+        log tells which protocol that is: these messages may be sent by `can_player`.
         """
         super().__init__(file)
+        self._as_is = as_is
         self._name = str(getattr(self.file, "name", "the file"))
         try:
-            self._blocks = self._open(protocol, ts_unit)
+            self._blocks = Blocks(
+                cast(Source, self.file),
+                protocol or AUTO,
+                ts_unit,
+                np.empty(_BATCH, FRAME_DTYPE),
+                None,
+                threads=1,
+                progress=None,
+                as_is=as_is,
+                warns=False,
+            )
+            if self._blocks.found:
+                _LOG.warning("%s: %s", self._name, self._blocks.found)
         except BaseException:
             if self.file is not file:
                 self.file.close()
             raise
 
-    def _open(self, protocol: str | None, ts_unit: str | None) -> Blocks:
-        source = cast(Source, self.file)
-        room = np.empty(_BATCH, FRAME_DTYPE)
-        start = None
-        with suppress(OSError):  # a pipe cannot be looked at and then read
-            start = self.file.tell()
-        try:
-            return blocks(source, protocol, ts_unit=ts_unit, out=room)
-        except NoProtocolError:
-            if start is None:
-                raise
-        self.file.seek(start)
-        sample = self.file.read(_SAMPLE)
-        self.file.seek(start)
-        best = identify(sample)[0]
-        if sample and not best.fits:
-            raise NoProtocolError(
-                f"{self._name} is no recording, and these bytes are of no protocol known here: "
-                f"{best.protocol} comes closest, with {best.explained:.0%} of them in frames "
-                f"and {best.chance:.0%} expected by chance; give protocol="
-            )
-        return blocks(source, best.protocol, ts_unit=ts_unit, out=room)
-
     def __iter__(self) -> Iterator[can.Message]:
         for frames in self._blocks:
             yield from starmap(can.Message, rows(frames))
-        for remark in self._blocks.remarks:
-            warnings.warn(f"{self._name}: {remark}", CanserWarning, stacklevel=2)
+        remarks = [f"{self._name}: {remark}" for remark in self._blocks.remarks]
+        if self._blocks.doubt and not self._as_is:
+            remarks.append(f"{self._blocks.doubt}; as_is=True accepts them")
+        for remark in remarks:
+            warnings.warn(remark, CanserWarning, stacklevel=2)
 
     def stop(self) -> None:
         """Close the file."""

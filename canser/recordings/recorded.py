@@ -20,6 +20,9 @@ _STAMPED = 4096
 # Pieces smaller than this are decoded together: a call costs as much as a copy of so many bytes.
 _SMALL = 1 << 14
 
+# The first bytes of the line that are kept.
+_HEAD_LEN = 1 << 16
+
 
 class RecordedFrames:
     """Decode a recording into arrays that the caller makes.
@@ -33,6 +36,7 @@ class RecordedFrames:
     ) -> None:
         self.info: RecordingInfo = recording.info
         self._recording, self._live = recording, live
+        self.head = bytearray()  # the first bytes of the line, to tell what they are
         try:
             self.decoder = Decoder(
                 protocol or self.info.protocol, ts_unit=ts_unit or self.info.ts_unit
@@ -113,6 +117,8 @@ class RecordedFrames:
             if piece.gap:
                 self._count_gap(piece.lost)
             self._arrivals.append((len(piece.data), piece.arrival_ns))
+            if len(self.head) < _HEAD_LEN:
+                self.head += piece.data[: _HEAD_LEN - len(self.head)]
             if large or self._live:
                 yield piece.data, piece.gap
             else:
