@@ -1,7 +1,5 @@
 """From a ring of raw bytes to frames with host times: gaps, control packets, the watchdog."""
 
-import functools
-import random
 import warnings
 from collections import deque
 from collections.abc import Callable
@@ -12,6 +10,7 @@ import numpy as np
 from canser import adapters
 from canser.adapters import Report
 from canser.codec import Control, Decoder
+from canser.doubt import is_doubtful
 from canser.errors import CanserWarning
 from canser.frames import FrameArray
 from canser.live.ring import Gap, Piece, Ring
@@ -23,11 +22,7 @@ __all__ = ["LiveStream", "Tap"]
 # them (-1: nobody knows).
 Tap = Callable[[memoryview, int, int], None]
 
-# At a wrong baud rate, and of another protocol, as large a share of the bytes is skipped as
-# of random ones, or half of it at least: nearly all where packets have markers, a ninth where
-# they have none. Over so much of that it is not the line: one that hits 1 byte in 100 has
-# 10 % and 2 %.
-_WRONG_SHARE: Final = 0.4
+# So many bytes are judged at a time, to tell a wrong baud rate or protocol from noise.
 _WRONG_BYTES: Final = 4096
 
 # Control packets and gaps that nobody takes: the newest so many are kept.
@@ -38,15 +33,6 @@ _SEARCH: Final = 1 << 16
 
 # A ping that is away for so many periods is lost.
 _PATIENCE: Final = 2.5
-
-
-@functools.cache
-def _random_share(protocol: str) -> float:
-    """Return what share of random bytes a protocol skips."""
-    decoder = Decoder(protocol)
-    data = random.Random(1).randbytes(1 << 15)
-    decoder.feed(data)
-    return decoder.stats.bytes_skipped / len(data)
 
 
 class LiveStream:
@@ -227,8 +213,9 @@ class LiveStream:
         if position - bytes_in < _WRONG_BYTES:
             return
         self._looked = position, self.decoder.skipped
-        share = (self._looked[1] - skipped) / (position - bytes_in)
-        if share > _WRONG_SHARE * _random_share(self.decoder.protocol):
+        came, bad = position - bytes_in, self._looked[1] - skipped
+        if is_doubtful(self.decoder.protocol, came, bad):
+            share = bad / came
             self._warn(
                 "share",
                 f"{self._url}: {share:.0%} of the bytes are in no {self.decoder.protocol} frame; "
