@@ -4,10 +4,11 @@ import contextlib
 import os
 import secrets
 import shutil
+import stat
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TextIO
 
 from canser.errors import StreamClosedError
 
@@ -36,7 +37,7 @@ def whole_file(path: str, *, force: bool) -> Iterator[BinaryIO]:
 
     Until then it has a temporary name beside it, and after an error it is gone. "-" is
     the standard output; a pipe or a device is written in place. OutputExistsError if
-    the file is there and `force` is False.
+    the file is there and `force` is False. Call `check_apart` first where files are read.
     """
     if path == "-":
         with standard_output() as file:
@@ -65,6 +66,30 @@ def whole_file(path: str, *, force: bool) -> Iterator[BinaryIO]:
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
+
+
+def check_apart(target: str, *others: str) -> None:
+    """Raise OutputExistsError if a file to write is one of those to read, by a link too.
+
+    "-" is the standard output as a target, and the standard input as one of the others.
+    """
+    written = _status(target, sys.stdout)
+    for other in others:
+        read = _status(other, sys.stdin)
+        if written is None or read is None or not stat.S_ISREG(written.st_mode):
+            continue
+        if os.path.samestat(written, read):
+            raise OutputExistsError(f"{target} and {other} are one file; give OUT another name")
+
+
+def _status(path: str, stream: TextIO | None) -> os.stat_result | None:
+    """Return the status of a file, None where there is none."""
+    try:
+        if path != "-":
+            return os.stat(path)  # noqa: PTH116 - follows links
+        return None if stream is None else os.fstat(stream.fileno())
+    except (OSError, ValueError):  # ValueError: a stream that is no file
+        return None
 
 
 def _check_free(target: Path, path: str, *, force: bool) -> None:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from canser._output import whole_file
+from canser._output import check_apart, whole_file
 from canser.commands._common import GOOD, Commands, add_command, say
 from canser.recordings.recording import recover
 
@@ -24,6 +24,7 @@ def add(commands: Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    check_apart(args.target, args.source)
     with (
         open(args.source, "rb") as source,  # noqa: PTH123
         whole_file(args.target, force=args.force) as target,
