@@ -448,10 +448,7 @@ def _open_recording(
     if protocol is None or is_auto(protocol):
         protocol = own
     elif not as_is and Decoder(protocol).protocol != own:
-        raise WrongProtocolError(
-            f"{source.name} is a recording in {own}, not in {protocol}; leave the protocol out, "
-            "or read it as it is"
-        )
+        raise WrongProtocolError(source.name, own, Decoder(protocol).protocol)
     return RecordedFrames(recording, protocol, ts_unit, live=live)
 
 

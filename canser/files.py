@@ -6,11 +6,12 @@ from collections.abc import Callable, Iterator
 from pathlib import PurePath
 from typing import BinaryIO, Final, Self
 
-from canser.captures import Blocks, blocks
+from canser.captures import Blocks
 from canser.codec import Decoder
 from canser.errors import StreamClosedError
 from canser.formats import BY_SUFFIX
 from canser.frames import FrameArray
+from canser.judge import check_protocol
 from canser.recordings.recording import RecordingInfo
 
 __all__ = ["FORMATS", "RAW", "FrameFile", "format_of"]
@@ -35,6 +36,8 @@ class FrameFile(Iterator[FrameArray]):
     `file_format`: one of FORMATS. Raw bytes need their `protocol`, else NoProtocolError; a
     recording among them knows it. Both keep their decoder in `.decoder`, for the stats and
     the control packets, and a recording what it tells in `.recording` and `.remarks`.
+    `protocol`, `as_is`: as for `canser.blocks`; `.doubt` tells why the bytes so far are not of
+    the protocol they are read in, "" if they may be.
     `progress` is called with the bytes done and in all. A context manager.
     """
 
@@ -45,6 +48,7 @@ class FrameFile(Iterator[FrameArray]):
         *,
         protocol: str | None = None,
         ts_unit: str | None = None,
+        as_is: bool = False,
         progress: Callable[[int, int | None], None] | None = None,
     ) -> None:
         self.name = "standard input" if path == "-" else path
@@ -54,7 +58,19 @@ class FrameFile(Iterator[FrameArray]):
         with contextlib.ExitStack() as opening:
             file = _standard_input() if path == "-" else opening.enter_context(open(path, "rb"))  # noqa: PTH123
             if file_format == RAW:
-                raw = blocks(file, protocol, ts_unit=ts_unit, progress=progress)
+                if protocol is not None:
+                    check_protocol(protocol, ts_unit)
+                raw = Blocks(
+                    file,
+                    protocol,
+                    ts_unit,
+                    None,
+                    None,
+                    threads=1,
+                    progress=progress,
+                    as_is=as_is,
+                    warns=False,
+                )
                 self.decoder, self.recording, self._blocks = raw.decoder, raw.recording, raw
             else:
                 self._blocks = BY_SUFFIX[f".{file_format}"].read(file, self.name)
@@ -71,8 +87,16 @@ class FrameFile(Iterator[FrameArray]):
 
     @property
     def remarks(self) -> list[str]:
-        """What to know of a recording so far: what is damaged, what is lost."""
-        return self._blocks.remarks if isinstance(self._blocks, Blocks) else []
+        """What to know so far: which protocol was found, what is damaged, what is lost."""
+        if not isinstance(self._blocks, Blocks):
+            return []
+        found = [self._blocks.found] if self._blocks.found else []
+        return [*found, *self._blocks.remarks]
+
+    @property
+    def doubt(self) -> str:
+        """Why the bytes so far are not of the protocol they are read in, "" if they may be."""
+        return self._blocks.doubt if isinstance(self._blocks, Blocks) else ""
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()

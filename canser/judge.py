@@ -50,16 +50,20 @@ class NoProtocolError(ValueError):
 
 
 class WrongProtocolError(ValueError):
-    """A recording is to be read in another protocol than its own."""
+    """A recording is to be read in another protocol than its own; `what` says so."""
+
+    def __init__(self, name: str, own: str, given: str) -> None:
+        self.what = f"{name} is a recording in {own}, not in {given}"
+        super().__init__(f"{self.what}; leave the protocol out, or accept it by as_is=True")
 
 
 class ForeignFormatError(FormatError):
-    """A file is plainly of another format than raw bytes or a recording."""
+    """A file is plainly of another format than raw bytes or a recording; `what` says which."""
 
     def __init__(self, name: str, found: Foreign) -> None:
         self.found = found
-        remedy = found.remedy.replace("FILE", name)
-        super().__init__(f"{name} is {found.name}, not raw bytes; {remedy}")
+        self.what = f"{name} is {found.name}, not raw bytes"
+        super().__init__(f"{self.what}; {found.remedy.replace('FILE', name)}")
 
 
 def check_protocol(protocol: str, ts_unit: str | None) -> None:

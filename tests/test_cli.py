@@ -17,11 +17,13 @@ import pytest
 
 import canser
 from canser.commands import ALL
+from canser.recordings.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import line_noise, vehicle
 
 GOOD, BAD_DATA, BAD_CALL = 0, 1, 2
 
 PROTOCOLS = canser.protocols()
+INFO = RecordingInfo("seeed", 2_000_000, None, "ms", "x")
 STATUS = bytes.fromhex("AA55 04 01 02") + bytes(14) + b"\x07"
 
 PRINTING = {"COLUMNS", "LINES", "PYTHONUNBUFFERED"}
@@ -85,6 +87,12 @@ def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "empty.bin").write_bytes(b"")
     (folder / "folder.bin").mkdir()
     (folder / "there.log").write_text("old")
+    (folder / "link.log").symlink_to("there.log")
+    (folder / "log.txt").write_text("(1.000000) can0 123#11\n" * 9)
+    (folder / "run.asc").write_text("date Sam Sep 30 15:06:13.191 2017\nbase hex\n")
+    with RecordingWriter(folder / "run.pcapng", INFO) as writer:
+        writer.write((folder / "seeed.bin").read_bytes(), 10**18)
+    (folder / "same.pcapng").hardlink_to(folder / "run.pcapng")
     return folder
 
 
@@ -192,7 +200,12 @@ ERRORS = {
     "no protocol": (
         ["dump", "seeed.bin"],
         BAD_CALL,
-        ["seeed.bin", "-p", "cantalope, seeed, serial", "'canser info seeed.bin'"],
+        ["seeed.bin: these bytes look like seeed (100%)", "give -p seeed or -p auto"],
+    ),
+    "auto for raw bytes": (
+        ["convert", "there.log", "x.bin", "-p", "auto"],
+        BAD_CALL,
+        ["-p", "cantalope, seeed, serial"],
     ),
     "no protocol to encode in": (
         ["convert", "there.log", "x.bin"],
@@ -245,22 +258,48 @@ ERRORS = {
         ["'123'", "ID:MASK", "123:7FF"],
     ),
     "empty file": (["info", "empty.bin"], BAD_DATA, ["empty.bin", "empty"]),
-    "text": (["info", "text.txt"], BAD_DATA, ["text.txt", "no protocol fits", "-p"]),
+    "text": (["info", "text.txt"], BAD_DATA, ["text.txt is a text, not raw bytes"]),
+    "auto of noise": (["dump", "noise.bin", "-p", "auto"], BAD_CALL, ["look like no protocol"]),
+    "a log without its suffix": (
+        ["info", "log.txt"],
+        BAD_CALL,
+        ["log.txt is a candump log", "read it with --from log"],
+    ),
+    "an ASC log": (["info", "run.asc"], BAD_DATA, ["Vector ASC", "can_logconvert run.asc"]),
     "noise": (["info", "noise.bin"], BAD_DATA, ["noise.bin", "no protocol fits", "-p"]),
-    "no frame in text": (
+    "the wrong protocol": (
+        ["convert", "serial.bin", "x.log", "-p", "seeed"],
+        BAD_DATA,
+        [
+            "of the 67,355 bytes are in no seeed packet",
+            "look like serial (100%)",
+            "--as-is accepts",
+        ],
+    ),
+    "raw bytes of another protocol as a text": (
         ["convert", "text.txt", "x.log", "-p", "serial"],
         BAD_DATA,
-        ["no serial frame in the 3,600 bytes of text.txt", "'canser info'"],
+        ["text.txt is a text, not raw bytes"],
     ),
-    "no frame to tell of": (
-        ["info", "text.txt", "-p", "seeed"],
-        BAD_DATA,
-        ["no seeed frame", "'canser info'"],
+    "a recording in another protocol": (
+        ["info", "run.pcapng", "-p", "serial"],
+        BAD_CALL,
+        ["run.pcapng is a recording in seeed, not in serial", "--as-is"],
     ),
-    "no frame to dump": (
-        ["dump", "text.txt", "-p", "seeed"],
-        BAD_DATA,
-        ["no seeed frame", "'canser info'"],
+    "the file itself": (
+        ["convert", "there.log", "there.log", "--to", "csv", "--force"],
+        BAD_CALL,
+        ["there.log and there.log are one file"],
+    ),
+    "a link to the file itself": (
+        ["convert", "link.log", "there.log", "--to", "csv", "--force"],
+        BAD_CALL,
+        ["there.log and link.log are one file"],
+    ),
+    "a hard link to the recording itself": (
+        ["recover", "run.pcapng", "same.pcapng", "--force"],
+        BAD_CALL,
+        ["same.pcapng and run.pcapng are one file"],
     ),
     "raw bytes as a log": (
         ["info", "seeed.bin", "--from", "log"],
@@ -281,6 +320,52 @@ def test_an_error_is_one_line_that_names_the_remedy(captures: Path, name: str) -
     assert_fails(run(captures, *arguments), code, *words)
     assert names(captures) == before
     assert (captures / "there.log").read_text() == "old"
+
+
+@pytest.mark.parametrize("command", ["info", "dump"])
+def test_the_wrong_protocol_is_printed_and_refused(captures: Path, command: str) -> None:
+    (captures / "wrong.bin").write_bytes(
+        (captures / "serial.bin").read_bytes() + 2 * canser.encode(vehicle(0.01), "seeed")
+    )
+    done = run(captures, command, "wrong.bin", "-p", "seeed")
+    assert done.returncode == BAD_DATA
+    assert done.stdout
+    last = done.stderr.decode().splitlines()[-1]
+    assert "in no seeed packet; they look like serial (9" in last
+    assert last.endswith("; --as-is accepts them")
+    accepted = run(captures, command, "wrong.bin", "-p", "seeed", "--as-is")
+    assert accepted.returncode == GOOD
+    assert accepted.stdout == done.stdout
+    (captures / "wrong.bin").unlink()
+
+
+def test_bytes_are_accepted_as_they_are(captures: Path, tmp_path: Path) -> None:
+    target = str(tmp_path / "x.log")
+    done = run(captures, "convert", "serial.bin", target, "-p", "seeed", "--as-is")
+    assert done.returncode == GOOD
+    assert (tmp_path / "x.log").exists()
+    done = run(captures, "info", "run.pcapng", "-p", "serial", "--as-is")
+    assert done.returncode == GOOD
+    assert b"frames     0" in done.stdout
+
+
+def test_auto_reads_the_protocol_that_fits_and_says_which(captures: Path) -> None:
+    for name in PROTOCOLS:
+        done = run(captures, "dump", f"{name}.bin", "-p", "auto")
+        assert done.returncode == GOOD
+        assert done.stdout == run(captures, "dump", f"{name}.bin", "-p", name).stdout
+        assert f"{name}.bin: read as {name} (".encode() in done.stderr
+
+
+def test_a_file_on_the_standard_input_is_not_written(tmp_path: Path) -> None:
+    path = tmp_path / "run.bin"
+    path.write_bytes(canser.encode(vehicle(1), "seeed"))
+    before = path.read_bytes()
+    call = command("convert", "-", "run.bin", "-p", "seeed", "--to", "log", "--force")
+    with path.open("rb") as file:
+        done = subprocess.run(call, cwd=tmp_path, stdin=file, capture_output=True, check=False)
+    assert_fails(done, BAD_CALL, "run.bin and - are one file")
+    assert path.read_bytes() == before
 
 
 def test_a_frame_that_cannot_be_encoded_is_named(tmp_path: Path) -> None:

@@ -7,9 +7,9 @@ from typing import Any, NoReturn
 
 from canser._output import standard_output
 from canser._progress import Progress
-from canser.captures import NoProtocolError
 from canser.codec import TS_UNITS, Decoder, protocols
 from canser.files import FORMATS, FrameFile, format_of
+from canser.judge import AUTO, ForeignFormatError, NoProtocolError, WrongProtocolError, is_auto
 
 __all__ = [
     "BAD_CALL",
@@ -21,7 +21,9 @@ __all__ = [
     "Parser",
     "ProtocolNeededError",
     "add_command",
+    "as_is_argument",
     "check_found",
+    "open_frames",
     "open_source",
     "protocol_name",
     "say",
@@ -86,8 +88,9 @@ def source_arguments() -> argparse.ArgumentParser:
     source.add_argument(
         "-p",
         "--protocol",
-        type=protocol_name,
-        help=f"of raw bytes: {', '.join(protocols())} (a recording knows it)",
+        type=protocol_or_auto,
+        help=f"of raw bytes: {', '.join(protocols())}, or {AUTO}: the one that plainly fits "
+        "(a recording knows it)",
     )
     source.add_argument(
         "--ts-unit",
@@ -100,7 +103,23 @@ def source_arguments() -> argparse.ArgumentParser:
         choices=FORMATS,
         help="format of IN (default: by its suffix; else raw bytes or a recording)",
     )
+    as_is_argument(source)
     return source
+
+
+def as_is_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the argument that accepts bytes which do not look like their protocol."""
+    parser.add_argument(
+        "--as-is",
+        action="store_true",
+        help="accept bytes of which most lie in no packet of the protocol, that look like another "
+        "format, or a recording that says another protocol",
+    )
+
+
+def protocol_or_auto(name: str) -> str:
+    """Return the protocol's own name of a spelling, or AUTO."""
+    return AUTO if is_auto(name) else protocol_name(name)
 
 
 def protocol_name(name: str) -> str:
@@ -113,31 +132,58 @@ def protocol_name(name: str) -> str:
 
 def open_source(args: argparse.Namespace, progress: Progress | None = None) -> FrameFile:
     """Open IN as the arguments say."""
+    return open_frames(
+        args.source,
+        args.source_format,
+        protocol=args.protocol,
+        ts_unit=args.ts_unit,
+        as_is=args.as_is,
+        progress=progress,
+    )
+
+
+def open_frames(
+    path: str,
+    file_format: str | None,
+    *,
+    protocol: str | None,
+    ts_unit: str | None,
+    as_is: bool,
+    progress: Progress | None = None,
+) -> FrameFile:
+    """Open a file of frames, a recording or raw bytes; errors name the options that help."""
     try:
         return FrameFile(
-            args.source,
-            format_of(args.source, args.source_format),
-            protocol=args.protocol,
-            ts_unit=args.ts_unit,
+            path,
+            format_of(path, file_format),
+            protocol=protocol,
+            ts_unit=ts_unit,
+            as_is=as_is,
             progress=progress,
         )
-    except NoProtocolError:
-        known = f"canser info {args.source}" if args.source != "-" else "canser info"
+    except NoProtocolError as error:
         raise ProtocolNeededError(
-            f"{args.source} holds raw bytes: name their protocol with -p "
-            f"({', '.join(protocols())}); '{known}' tells which fits"
+            f"{error.looks}; give -p {' or -p '.join(error.choices)}"
         ) from None
+    except WrongProtocolError as error:
+        raise CallError(f"{error.what}; leave -p out, or accept it by --as-is") from None
+    except ForeignFormatError as error:
+        if error.found.option:
+            raise CallError(f"{error.what}: read it with --from {error.found.option}") from None
+        raise
 
 
-def check_found(source: FrameFile) -> None:
-    """Raise DataError if there were bytes, but nothing of the protocol."""
-    if source.decoder is None:
+def check_found(source: FrameFile, *, as_is: bool) -> None:
+    """Raise DataError if the bytes are not of the protocol that they were read in."""
+    if source.decoder is None or as_is:
         return
+    if source.doubt:
+        raise DataError(f"{source.doubt}; --as-is accepts them")
     stats = source.decoder.stats
     if stats.bytes_in and not stats.frames and not stats.controls:
         raise DataError(
             f"no {source.decoder.protocol} frame in the {stats.bytes_in:,} bytes of "
-            f"{source.name}; 'canser info' without -p tells which protocol fits"
+            f"{source.name}; --as-is accepts them"
         )
 
 

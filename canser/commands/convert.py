@@ -3,7 +3,7 @@
 import argparse
 
 from canser import report
-from canser._output import whole_file
+from canser._output import check_apart, whole_file
 from canser._progress import Progress
 from canser.codec import protocols
 from canser.commands._common import (
@@ -19,6 +19,7 @@ from canser.commands._common import (
 )
 from canser.convert import convert
 from canser.files import FORMATS, RAW, format_of
+from canser.judge import AUTO
 
 __all__ = ["add"]
 
@@ -67,13 +68,14 @@ def _target_format(args: argparse.Namespace) -> str:
             "IN and OUT are both raw bytes; convert to .npy, .csv or .log, and from there "
             "to another protocol"
         )
-    if chosen == RAW and args.protocol is None:
+    if chosen == RAW and args.protocol in (None, AUTO):
         raise CallError(f"raw bytes need a protocol: name it with -p ({', '.join(protocols())})")
     return chosen
 
 
 def run(args: argparse.Namespace) -> int:
     target_format = _target_format(args)
+    check_apart(args.target, args.source)
     with (
         Progress(f"converting {args.source}") as progress,
         open_source(args, progress) as source,
@@ -85,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
             ts_unit=args.ts_unit or "ms",
         )
         stats = None if source.decoder is None else source.decoder.stats
-        check_found(source)
+        check_found(source, as_is=args.as_is)
     say(f"{args.source} -> {args.target}: {done.frames:,} frames")
     if stats is not None:
         say(report.conservation(stats))

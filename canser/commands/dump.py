@@ -58,8 +58,8 @@ def run(args: argparse.Namespace) -> int:
             writer.write(frames[match(frames, *args.filters)])
             out.flush()
         stats = None if source.decoder is None else source.decoder.stats
-    check_found(source)
     if stats is not None and (stats.bytes_skipped or stats.controls):
         say(report.conservation(stats))
     say_remarks(source)
+    check_found(source, as_is=args.as_is)
     return GOOD

@@ -52,11 +52,11 @@ def run(args: argparse.Namespace) -> int:
         stats, controls = None, list[Control]()
         if source.decoder is not None:
             stats, controls = source.decoder.stats, source.decoder.take_controls()
-            check_found(source)
     if source.recording is not None:
         show(report.recording_lines(source.recording))
     show(report.info_lines(tally, stats, controls))
     say_remarks(source)
+    check_found(source, as_is=args.as_is)
     return GOOD
 
 
