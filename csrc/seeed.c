@@ -9,8 +9,8 @@
  *      0      2         3          19      sum: low byte of the sum of bytes 2..18
  *
  *     command 01 is a frame, any other a control packet:
- *     AA 55 01 | 1 std, 2 ext | 1 data, 2 remote | id u32 LE | dlc | data[8] | 0 | sum
- *      0         3              4                  5           9     10        18  19
+ *     AA 55 01 | 1 std, 2 ext | 1 data, 2 remote | id u32 LE | dlc | data[8] | any | sum
+ *      0         3              4                  5           9     10        18    19
  *
  *     command 04 asks for the status, and is the status that comes back:
  *     AA 55 04 | receive errors | transmit errors | 00 * 14 | sum
@@ -32,6 +32,8 @@
  *   none. If the byte behind the id is the end mark the frame ends there, else
  *   dlc bytes later. Written with dlc zero bytes, as the device expects.
  * - AA and 55 inside ids and payloads are normal.
+ * - Byte 18 of a fixed frame is reserved: the documents write 0, any value is accepted
+ *   here, for the sum guards it.
  * - There is no timestamp.
  * - Of the modes Waveshare's page says 1 silent, 2 loopback; the programs that work
  *   with real adapters have it as above.
@@ -71,7 +73,7 @@ CANSER_NOINLINE probe_result probe_fixed(const uint8_t *p, canser_frame *frame)
     const bool ext = p[3] == 2, rtr = p[4] == 2;
     const uint32_t id = load_le32(p + 5);
     const unsigned dlc = p[9];
-    if ((p[3] != 1 && !ext) || (p[4] != 1 && !rtr) || dlc > DLC_MAX || p[18] != 0 ||
+    if ((p[3] != 1 && !ext) || (p[4] != 1 && !rtr) || dlc > DLC_MAX ||
         id > (uint32_t)(ext ? ID_EXT_MAX : ID_STD_MAX))
         return probe_reject(CANSER_REJECT_FIELD);
     store_frame(frame, id, ext, rtr, 0, dlc, p + 10);
@@ -207,8 +209,7 @@ CANSER_INLINE vec fixed_fields(const uint8_t *p)
     const vec id =
         vec_or(vec_and(vec_equal(kind, one), std_id), vec_and(vec_equal(kind, two), ext_id));
     const vec dlc = vec_at_most(vec_load(p + 9), vec_fill(DLC_MAX));
-    return vec_and(vec_and(id, vec_or(vec_equal(form, one), vec_equal(form, two))),
-                   vec_and(dlc, vec_equal(vec_load(p + 18), zero)));
+    return vec_and(vec_and(id, dlc), vec_or(vec_equal(form, one), vec_equal(form, two)));
 }
 
 /* What stands behind the marks of fixed packets, which hardly any stream is full of. */

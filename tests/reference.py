@@ -241,7 +241,6 @@ def probe_seeed_fixed(candidate: Candidate) -> Found:
     candidate.require(form in (1, 2), "field")
     candidate.require(id_ <= (ID_EXT_MAX if kind == 2 else ID_MAX), "field")
     candidate.require(dlc <= DLC_MAX, "field")
-    candidate.require(packet[18] == 0, "field")
     ext, rtr = kind == 2, form == 2
     return Found(Frame(id_, ext, rtr, dlc, data=payload(packet[10 : 10 + dlc], rtr)))
 

@@ -218,7 +218,6 @@ static size_t random_packet(int protocol, uint8_t out[CANSER_PACKET_MAX])
             for (int i = 0; i < 4; i++)
                 out[5 + i] = (uint8_t)(f.id >> 8 * i);
             out[9] = f.dlc;
-            out[18] = 0;
         }
         for (int i = 2; i < 19; i++)
             sum += out[i];

@@ -114,8 +114,6 @@ static finding look_seeed_fixed(const uint8_t *p, size_t n, canser_frame *row)
     uint8_t dlc = p[9];
     if (dlc > 8)
         return reject(CANSER_REJECT_FIELD);
-    if (p[18] != 0)
-        return reject(CANSER_REJECT_FIELD);
     return frame(20, row, id, ext, rtr, dlc, p + 10);
 }
 
