@@ -1,6 +1,8 @@
 """Files that appear whole or not at all, and the standard output."""
 
 import contextlib
+import errno
+import io
 import os
 import secrets
 import shutil
@@ -8,7 +10,7 @@ import stat
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, TextIO
+from typing import Any, BinaryIO, TextIO, cast
 
 from canser.errors import StreamClosedError
 
@@ -17,18 +19,52 @@ class OutputExistsError(FileExistsError):
     """The file is there, and nobody said that it may be replaced."""
 
 
+class ReaderGoneError(BrokenPipeError):
+    """The reader of the standard output has ended. That is no failure: `canser dump | head`."""
+
+
+class _Named(io.FileIO):
+    """A file for writing whose errors name it."""
+
+    def __init__(self, file: str | int, name: str) -> None:
+        super().__init__(file, "w", closefd=isinstance(file, str))
+        self._known_as = name
+
+    def write(self, data: Any) -> int:
+        """Write a part of the bytes at least."""
+        try:
+            return super().write(data)
+        except OSError as error:
+            error.filename = self._known_as
+            raise
+
+
+class _StandardOutput(_Named):
+    """The standard output, whose reader may end at any time."""
+
+    def __init__(self) -> None:
+        super().__init__(sys.stdout.fileno(), "standard output")
+
+    def write(self, data: Any) -> int:
+        """Write a part of the bytes at least; ReaderGoneError without a reader."""
+        try:
+            return super().write(data)
+        except BrokenPipeError as error:
+            raise ReaderGoneError(errno.EPIPE, error.strerror, error.filename) from None
+
+
 @contextlib.contextmanager
 def standard_output() -> Iterator[BinaryIO]:
     """Open the standard output for bytes, buffered and written whole at the end.
 
     sys.stdout's own buffer may be none (python -u), which writes a part in silence when
-    a disk runs full. StreamClosedError if there is none.
+    a disk runs full. StreamClosedError if there is none, ReaderGoneError if its reader ends.
     """
     if sys.stdout is None:
         raise StreamClosedError("the standard output is closed; open it, or name a file")
     sys.stdout.flush()
-    with open(sys.stdout.fileno(), "wb", closefd=False) as file:
-        yield file
+    with io.BufferedWriter(_StandardOutput()) as file:
+        yield cast(BinaryIO, file)
 
 
 @contextlib.contextmanager
@@ -45,8 +81,8 @@ def whole_file(path: str, *, force: bool) -> Iterator[BinaryIO]:
         return
     target = Path(path)
     if target.exists() and not target.is_file():
-        with target.open("wb") as file:
-            yield file
+        with io.BufferedWriter(_Named(path, path)) as file:
+            yield cast(BinaryIO, file)
         return
     target = Path(os.path.realpath(path))  # a link stays a link
     _check_free(target, path, force=force)

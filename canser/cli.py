@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from typing import NoReturn
 
+from canser._output import ReaderGoneError
 from canser.codec import protocols
 from canser.commands import ALL
 from canser.commands._common import BAD_CALL, BAD_DATA, GOOD, CallError, DataError, Parser, say
@@ -70,8 +71,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         with _terminated_cleanly():
             code: int = args.run(args)
             return code
-    except BrokenPipeError:
-        return GOOD  # nobody reads any more, as in `canser dump ... | head`
+    except ReaderGoneError:
+        return GOOD  # as in `canser dump ... | head`
     except KeyboardInterrupt:
         say("canser: interrupted")
         return 130
