@@ -207,6 +207,32 @@ def test_the_times_of_the_frames_set_the_pace() -> None:
     assert first + rest == canser.encode(frames, "serial")
 
 
+def test_a_frame_that_is_due_within_a_millisecond_is_not_kept_for_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What the thread waits in all is what it is to wait: polling knows whole milliseconds."""
+    waited = []
+
+    class Poll:
+        def register(self, *_: object) -> None:
+            pass
+
+        def poll(self, timeout_ms: int) -> list[tuple[int, int]]:
+            waited.append(timeout_ms * 1_000_000)
+            return []
+
+    device = Simulator("serial")
+    device._wake_out = -1
+    monkeypatch.setattr(select, "poll", Poll)
+    monkeypatch.setattr(time, "sleep", lambda seconds: waited.append(round(seconds * 1e9)))
+    monkeypatch.setattr(time, "monotonic_ns", lambda: 100)
+    for wait in (0, 300_000, 1_000_000, 7_250_000):
+        waited.clear()
+        device._stepped_ns = 0
+        device._pause(100 + wait)
+        assert sum(waited) == wait
+
+
 def test_the_pace_of_the_frames_needs_their_times() -> None:
     device = Simulator("seeed", array(Frame(1, ts=NO_TIME)), pace="traffic")
     with pytest.raises(ValueError, match="needs the times of all frames"), device:

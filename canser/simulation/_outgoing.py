@@ -17,7 +17,17 @@ __all__ = ["Block", "Counts", "Outgoing", "rounds"]
 # Frames that are encoded at once: some 50 KB, more than a terminal holds.
 _FRAMES = 4096
 
+# Frames that are due within this time of the last ones go out together: a wake of the sender
+# for each frame would cost more than it shows, as a host's clock of arrivals is no finer.
+_TOGETHER_NS = 200_000
+
+# Steps of the traffic's time that are no pauses, as in `canser play`: back, the clock of a
+# device that has started anew; forward, a false time out of noise.
+_BACK_NS = 1_000_000_000
+_FORWARD_NS = 3_600_000_000_000
+
 _Places = npt.NDArray[np.int64]
+_Times = npt.NDArray[np.int64]
 
 
 @dataclass(slots=True)
@@ -43,6 +53,7 @@ class Block:
     def __init__(
         self,
         frames: FrameArray,
+        due: _Times,
         protocol: str,
         ts_unit: str,
         *,
@@ -58,7 +69,7 @@ class Block:
         ends = np.append(starts[1:], len(clean))
         self.frames = frames
         self.sent = 0
-        self.due = np.maximum.accumulate(frames["ts"])
+        self._due = due
         self._clean_ends = ends
         none = np.empty(0, np.int64)
         if not noise and not loss:
@@ -92,12 +103,16 @@ class Block:
         """Return where the frame ends that is going out; where nothing is, where it stands."""
         if self.sent == 0:
             return 0
-        return int(self.ends[np.searchsorted(self.ends, self.sent)])
+        return int(self.ends[self.ends.searchsorted(self.sent)])
 
-    def due_end(self, ts: int) -> int:
-        """Return where the last frame ends that is due at a time."""
-        count = int(np.searchsorted(self.due, ts, "right"))
+    def due_end(self, elapsed_ns: int) -> int:
+        """Return where the last frame ends that is due by a time."""
+        count = int(self._due.searchsorted(elapsed_ns, "right"))
         return int(self.ends[count - 1]) if count else 0
+
+    def next_due(self) -> int:
+        """Return when the next byte is due; there must be one."""
+        return int(self._due[self.ends.searchsorted(self.sent, "right")])
 
     def counts(self) -> Counts:
         """Return what has gone out so far."""
@@ -128,14 +143,50 @@ def _behind(places: _Places, lost: _Places) -> _Places:
     return places - np.searchsorted(lost, places)
 
 
-def rounds(traffic: FrameArray | Iterable[FrameArray], *, loop: bool) -> Generator[FrameArray]:
+class _Schedule:
+    """When frames are due, in nanoseconds from the first one with a time.
+
+    A frame without a time is due with the one before it, and so is one out of order.
+    """
+
+    def __init__(self) -> None:
+        self.elapsed = 0  # of the recorded time, without its jumps
+        self._before: int | None = None  # the last recorded time of this round
+        self._last = 0  # when the last frame is due
+
+    def start_round(self, pause_ns: int) -> None:
+        """Let the next frame follow after a pause, whatever its recorded time is."""
+        self._before = None
+        self.elapsed += pause_ns
+
+    def due(self, ts: _Times) -> _Times:
+        """Return when the next frames are due, one or more."""
+        due = np.full(len(ts), self._last, np.int64)
+        timed = ts != NO_TIME
+        times = ts[timed]
+        if len(times):
+            before = int(times[0]) if self._before is None else self._before
+            steps = np.diff(times, prepend=before)
+            steps[(steps < -_BACK_NS) | (steps > _FORWARD_NS)] = 0
+            due[timed] = self.elapsed + np.cumsum(steps)
+            self._before, self.elapsed = int(times[-1]), int(due[timed][-1])
+        due = np.maximum.accumulate(np.maximum(due, self._last))
+        self._last = int(due[-1])
+        return due
+
+
+def rounds(
+    traffic: FrameArray | Iterable[FrameArray], *, loop: bool
+) -> Generator[tuple[FrameArray, _Times]]:
     """Yield the frames of some traffic in arrays for a block each, for ever with `loop`.
 
-    Each round's times go on where the round before has ended.
+    With them comes when they are due, in nanoseconds from the first one. Each round's times
+    go on where the round before has ended.
     """
     shift = 0
+    schedule = _Schedule()
     while True:
-        count, first, last = 0, NO_TIME, NO_TIME
+        count, first, last, begin = 0, NO_TIME, NO_TIME, schedule.elapsed
         for part in [traffic] if isinstance(traffic, np.ndarray) else traffic:
             for start in range(0, len(part), _FRAMES):
                 frames = part[start : start + _FRAMES]
@@ -144,15 +195,17 @@ def rounds(traffic: FrameArray | Iterable[FrameArray], *, loop: bool) -> Generat
                     times = frames["ts"][timed]
                     first = int(times[0]) if first == NO_TIME else first
                     last = max(last, int(times.max()))
+                due = schedule.due(frames["ts"])
                 if shift:
                     frames = frames.copy()
                     frames["ts"][timed] += shift
                 count += len(frames)
-                yield frames
+                yield frames, due
         if not loop or not count:
             return
         # The time between two frames is that between two rounds.
         shift += (last - first) + (last - first) // max(count - 1, 1)
+        schedule.start_round((schedule.elapsed - begin) // max(count - 1, 1))
 
 
 class Outgoing:
@@ -178,10 +231,10 @@ class Outgoing:
         self._noise, self._loss, self._seed = noise, loss, seed
         self._traffic = rounds(traffic, loop=loop)
         self._timed = timed
-        self._first_ts: int | None = None
         self._config: Report | None = None
-        self._rest: FrameArray | None = None  # of a block that was cut
-        self._chunk = np.empty(0, FRAME_DTYPE)  # what the block is made of
+        self._rest: tuple[FrameArray, _Times] | None = None  # of a block that was cut
+        # What the block is made of, and when it is due.
+        self._chunk = np.empty(0, FRAME_DTYPE), np.empty(0, np.int64)
         self._kept = np.empty(0, np.int64)  # the places in it of the block's frames
         self._block: Block | None = None
         self._blocks = 0
@@ -213,7 +266,8 @@ class Outgoing:
     def end(self) -> None:
         """End the traffic behind the frame that is going out."""
         self._traffic.close()
-        self._chunk, self._rest, self._renewing = self._chunk[:0], None, True
+        frames, due = self._chunk
+        self._chunk, self._rest, self._renewing = (frames[:0], due[:0]), None, True
 
     def close(self) -> None:
         """Let go of the traffic."""
@@ -225,17 +279,25 @@ class Outgoing:
 
     def next(self, room: int, elapsed_ns: int) -> memoryview:
         """Return the next bytes to send, `room` at most; none if none are due."""
-        between = self._block is None or self._block.sent == self._block.boundary()
-        self._answer_offered = bool(self._answers) and (between or self._answer_begun)
+        self._answer_offered = bool(self._answers) and (
+            self._answer_begun or self._block is None or self._block.sent == self._block.boundary()
+        )
         if self._answer_offered:
             return self._answers[0][:room]
         block = self._load()
         if block is None:
             return memoryview(b"")
         end = block.boundary() if self._answers or self._renewing else len(block.data)
-        if self._timed and self._first_ts is not None:
-            end = min(end, max(block.sent, block.due_end(self._first_ts + elapsed_ns)))
+        if self._timed:
+            end = min(end, max(block.sent, block.due_end(elapsed_ns)))
         return block.data[block.sent : min(end, block.sent + room)]
+
+    def wait_ns(self, elapsed_ns: int) -> int:
+        """Return for how long nothing is to go out, when `next` has returned nothing."""
+        block = self._load()
+        if block is None or not self._timed:
+            return 0
+        return max(block.next_due() - elapsed_ns, _TOGETHER_NS)
 
     def wrote(self, count: int) -> None:
         """Take note that so many bytes of those that were offered have gone."""
@@ -265,12 +327,12 @@ class Outgoing:
                 self._done.add(self._block.counts())
                 self._block = None
             self._renewing = False
-            frames, self._rest = self._rest, None
-            if frames is None:
-                frames = next(self._traffic, None)
-            if frames is None:
+            chunk, self._rest = self._rest, None
+            if chunk is None:
+                chunk = next(self._traffic, None)
+            if chunk is None:
                 return None
-            self._encode(frames)
+            self._encode(*chunk)
         return self._block
 
     def _cut(self) -> None:
@@ -279,21 +341,22 @@ class Outgoing:
             counts = self._block.counts_cut()
             self._done.add(counts)
             if counts.frames < len(self._kept):
-                self._rest = self._chunk[self._kept[counts.frames] :]
+                frames, due = self._chunk
+                start = self._kept[counts.frames]
+                self._rest = frames[start:], due[start:]
             self._block = None
 
-    def _encode(self, frames: FrameArray) -> None:
+    def _encode(self, frames: FrameArray, due: _Times) -> None:
         """Make the next block, of the frames that pass the filter."""
         if self._timed and (frames["ts"] == NO_TIME).any():
             raise ValueError("pace 'traffic' needs the times of all frames; use 'line' or 'max'")
-        if self._first_ts is None and len(frames):
-            self._first_ts = int(frames["ts"][0])
-        self._chunk, self._kept = frames, np.flatnonzero(self._passed(frames))
+        self._chunk, self._kept = (frames, due), np.flatnonzero(self._passed(frames))
         if not len(self._kept):
             return
         self._blocks += 1
         self._block = Block(
             frames[self._kept],
+            due[self._kept],
             self._protocol,
             self._ts_unit,
             noise=self._noise,

@@ -27,8 +27,8 @@ PACES: Final = ("line", "traffic", "max")
 
 _MS: Final = 1_000_000  # nanoseconds
 
-# What is due is sent this often, as USB adapters do: 4,000 bytes of the fastest line, of which
-# a terminal holds 12,000 at least, for one percent of a processor.
+# What the line carries is sent this often, as USB adapters do: 4,000 bytes of the fastest line,
+# of which a terminal holds 12,000 at least, for one percent of a processor.
 _TICK_NS: Final = 20 * _MS
 
 # pyserial flushes the input right after opening: nothing is sent before that. Other hosts
@@ -383,7 +383,7 @@ class Simulator:
                 done.set_result(None)
 
     def _pause(self, timeout_ns: int) -> None:
-        """Wait for the host, for a wish, or for the time; less than 0: for ever."""
+        """Wait for the host, for a wish, or for the time since the step; less than 0: for ever."""
         waiting = select.poll()
         waiting.register(self._wake_out, select.POLLIN)
         if self._terminal is not None:
@@ -391,7 +391,16 @@ class Simulator:
             if self._out.answering < _ANSWERS_MAX:
                 wanted |= select.POLLIN
             self._terminal.register(waiting, wanted)
-        seen = dict(waiting.poll(None if timeout_ns < 0 else -(-timeout_ns // _MS)))
+        rest_ns = 0
+        if timeout_ns < 0:
+            seen = dict(waiting.poll(None))
+        else:
+            left_ns = max(0, timeout_ns - (time.monotonic_ns() - self._stepped_ns))
+            # Polling takes whole milliseconds; what is due must not wait for the next one.
+            whole_ms, rest_ns = divmod(left_ns, _MS)
+            seen = dict(waiting.poll(whole_ms))
+        if rest_ns and not seen:
+            time.sleep(rest_ns / 1e9)
         if seen.pop(self._wake_out, 0):
             os.read(self._wake_out, 4096)
         self._noticed = any(event != select.POLLOUT for event in seen.values())
@@ -510,7 +519,7 @@ class Simulator:
         while room > 0:
             piece = self._out.next(room, self._elapsed_ns)
             if not piece:
-                return _TICK_NS if self._pace == "traffic" else 0
+                return self._out.wait_ns(self._elapsed_ns)
             taken = terminal.write(piece)
             self._out.wrote(taken)
             self._bytes_sent += taken
@@ -520,7 +529,7 @@ class Simulator:
                 self._sending, self._full = False, True
                 return _FULL_NS
             room -= taken
-        return 0 if self._pace == "max" or stop == self._bytes_sent else _TICK_NS
+        return _TICK_NS if self._pace == "line" and stop != self._bytes_sent else 0
 
     def _stop_at(self) -> int | None:
         """Return after how many bytes it stalls or unplugs itself, if it does."""
