@@ -49,7 +49,7 @@ def adapter(protocol: str, traffic: FrameArray, baudrate: int) -> Iterator[str]:
     pid = os.fork()
     if pid == 0:
         try:
-            with Simulator(protocol, traffic, loop=True, baudrate=baudrate) as device:
+            with Simulator(protocol, traffic, loop=True, pace="line", baudrate=baudrate) as device:
                 os.write(tell, device.url.encode())
                 signal.pause()
         finally:

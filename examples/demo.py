@@ -44,7 +44,7 @@ class Adapter:
         self.report = FOLDER / f"{protocol}.json"
         self.complete = False
         simulate = command(
-            *("simulate", "-p", protocol, "--seconds", str(SECONDS), "--pace", "traffic"),
+            *("simulate", "-p", protocol, "--seconds", str(SECONDS)),
             *("--noise", "0.001", "--copy", str(self.sent), "--report", str(self.report)),
             "--force",
         )

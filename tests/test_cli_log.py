@@ -82,6 +82,7 @@ def test_a_signal_in_the_middle_leaves_no_hole(tmp_path: Path) -> None:
             "seeed",
             vehicle(10),
             loop=True,
+            pace="line",
             baudrate=10_000_000,  # five times that of the adapter
             link=str(tmp_path / "dev"),
             copy=copy,

@@ -114,6 +114,40 @@ def test_a_log_by_its_own_times(tmp_path: Path) -> None:
     assert frames["ts"].tolist() == [1_000_000_000, 1_300_000_000, 1_500_000_000]
 
 
+def test_a_log_is_sent_by_its_own_times_unless_told_otherwise(tmp_path: Path) -> None:
+    (tmp_path / "run.log").write_text("(1.0) can0 123#11\n(1.8) can0 123#22\n")
+    begin = time.monotonic()
+    options = ("-p", "seeed", "--traffic", "run.log", "--report", "-")
+    with simulate(tmp_path, *options) as command:
+        read(command.url, 14)
+        code, said, out = command.end()
+    assert (code, said) == (GOOD, ["2 frames, 12 bytes sent"])
+    assert time.monotonic() - begin >= 0.8
+    assert json.loads(out)["pace"] == "traffic"
+
+
+def test_frames_without_times_go_as_the_line_carries_and_that_is_said(tmp_path: Path) -> None:
+    clean = canser.encode(vehicle(1), "seeed")  # has no times
+    (tmp_path / "run.bin").write_bytes(clean)
+    with simulate(tmp_path, "-p", "seeed", "--traffic", "run.bin") as command:
+        assert read(command.url, len(clean)) == clean
+        code, said, _ = command.end()
+    assert code == GOOD
+    assert said[0] == "run.bin: the frames have no times; sent as fast as the line carries"
+    assert len(said) == 2
+
+
+def test_frames_that_lack_a_time_are_told(tmp_path: Path) -> None:
+    text = "timestamp,arbitration_id,extended,remote,error,dlc,data\n"
+    rows = "1.0,0x123,0,0,0,1,EQ==\n,0x123,0,0,0,1,EQ==\n"
+    (tmp_path / "run.csv").write_text(text + rows)
+    with simulate(tmp_path, "-p", "seeed", "--traffic", "run.csv") as command:
+        read(command.url, 12)
+        code, said, _ = command.end()
+    assert code == GOOD
+    assert said[1:] == ["frames without a time, each sent with the one before: 1"]
+
+
 def test_faults_by_the_seed(tmp_path: Path) -> None:
     hit = damage(canser.encode(vehicle(1), "seeed"), noise=0.01, loss=0.02, seed=(7, 1))
     faults = ("--noise", "0.01", "--loss", "0.02", "--stall", "100:0.2", "--seed", "7")
@@ -207,6 +241,16 @@ ERRORS = {
         BAD_CALL,
         "--seconds is for traffic that is made",
     ),
+    "traffic has no times": (
+        ["-p", "seeed", "--traffic", "few.bin", "--pace", "traffic"],
+        BAD_DATA,
+        "by their times, and these have none",
+    ),
+    "baudrate of no line": (
+        ["-p", "seeed", "--pace", "max", "--baudrate", "9600"],
+        BAD_CALL,
+        "--baudrate is of --pace line, not max",
+    ),
     "loop of nothing": (["-p", "seeed", "--loop"], BAD_CALL, "--loop repeats a file"),
     "loop of a pipe": (
         ["-p", "seeed", "--loop", "--traffic", "-"],
@@ -222,10 +266,11 @@ ERRORS = {
 def test_errors_are_one_line(tmp_path: Path, call: list[str], code: int, words: str) -> None:
     (tmp_path / "empty.bin").write_bytes(b"")
     (tmp_path / "bad.log").write_text("nonsense\n")
+    (tmp_path / "few.bin").write_bytes(canser.encode(vehicle(0.1), "seeed"))
     found, message = fails(tmp_path, *call)
     assert words in message
     assert found == code
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.log", "empty.bin"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.log", "empty.bin", "few.bin"]
 
 
 def test_what_the_protocol_cannot_carry_ends_it(tmp_path: Path) -> None:

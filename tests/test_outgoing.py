@@ -10,6 +10,7 @@ from canser import adapters
 from canser.frames import FrameArray
 from canser.simulation._outgoing import Outgoing
 from canser.simulation.traffic import damage, vehicle
+from reference import NO_TIME
 from samples import MILLISECOND, SECOND, timed
 
 ROOM = 1 << 18
@@ -19,10 +20,14 @@ LATE_MAX = MILLISECOND
 
 
 def outgoing(
-    traffic: FrameArray | Iterable[FrameArray], *, loop: bool = False, noise: float = 0
+    traffic: FrameArray | Iterable[FrameArray],
+    *,
+    protocol: str = "serial",
+    loop: bool = False,
+    noise: float = 0,
 ) -> Outgoing:
     return Outgoing(
-        "serial", traffic, ts_unit="ms", loop=loop, timed=True, noise=noise, loss=0, seed=1
+        protocol, traffic, ts_unit="ms", loop=loop, timed=True, noise=noise, loss=0, seed=1
     )
 
 
@@ -131,9 +136,11 @@ def test_a_false_time_is_no_pause() -> None:
     assert max(arrivals(out)) < 11 * MILLISECOND
 
 
-def test_a_frame_out_of_order_is_due_with_the_one_before_it() -> None:
-    out = outgoing(timed(SECOND, 3 * SECOND, 3 * SECOND - MILLISECOND))
-    assert arrivals(out) == [0, 2 * SECOND, 2 * SECOND]
+def test_a_frame_without_a_time_or_out_of_order_is_due_with_the_one_before_it() -> None:
+    times = NO_TIME, SECOND, NO_TIME, 3 * SECOND, NO_TIME, 3 * SECOND - MILLISECOND
+    out = outgoing(timed(*times), protocol="seeed")  # the others carry no unknown time
+    went = [now for now, data in run(out, 3 * SECOND) for _ in canser.decode(data, "seeed")]
+    assert went == [0, 0, 0, 2 * SECOND, 2 * SECOND, 2 * SECOND]
 
 
 def test_parts_are_one_stream() -> None:
@@ -145,7 +152,7 @@ def test_parts_are_one_stream() -> None:
 def test_what_a_filter_leaves_keeps_its_times() -> None:
     frames = timed(*(n * 100 * MILLISECOND for n in range(10))).copy()
     frames["ext"][::2] = True
-    out = Outgoing("seeed", frames, ts_unit="ms", loop=False, timed=True, noise=0, loss=0, seed=1)
+    out = outgoing(frames, protocol="seeed")
     assert out.next(ROOM, 0)
     sent(out, 0)
     packet = adapters.configuration("seeed", frame_type="extended")

@@ -187,7 +187,7 @@ def test_the_line_sets_the_pace() -> None:
     data = canser.encode(FRAMES[:1000], "seeed")
     rate = 200_000
     with (
-        Simulator("seeed", FRAMES[:1000], baudrate=rate) as device,
+        Simulator("seeed", FRAMES[:1000], pace="line", baudrate=rate) as device,
         host(device) as one,
     ):
         begin = time.monotonic()
@@ -235,8 +235,56 @@ def test_a_frame_that_is_due_within_a_millisecond_is_not_kept_for_it(
 
 def test_the_pace_of_the_frames_needs_their_times() -> None:
     device = Simulator("seeed", array(Frame(1, ts=NO_TIME)), pace="traffic")
-    with pytest.raises(ValueError, match="needs the times of all frames"), device:
-        device.wait(PATIENCE)
+    before = open_descriptors()
+    with pytest.raises(ValueError, match="by their times, and these have none"), device:
+        pass
+    assert open_descriptors() == before
+
+
+NEVER = array(Frame(1, ts=NO_TIME), Frame(2, ts=NO_TIME))
+PACE_OF: list[tuple[FrameArray, dict[str, object], str]] = [
+    (FRAMES, {}, "traffic"),
+    (FRAMES, {"baudrate": 9600}, "line"),
+    (FRAMES, {"pace": "max", "baudrate": 9600}, "max"),
+    (FRAMES[:0], {}, "traffic"),
+    (NEVER, {}, "line"),
+    (NEVER, {"pace": "max"}, "max"),
+    (np.concatenate([NEVER, FRAMES]), {}, "traffic"),
+]
+
+
+@pytest.mark.parametrize(("traffic", "options", "pace"), PACE_OF)
+def test_the_pace_is_that_of_the_times_if_there_are_any(
+    traffic: FrameArray, options: dict[str, object], pace: str
+) -> None:
+    with Simulator("seeed", [traffic[:0], traffic], **options) as device:  # type: ignore[arg-type]
+        assert device.report().pace == pace
+
+
+def test_by_default_no_more_is_sent_than_the_bus_has_carried() -> None:
+    second = 1_000_000_000
+    frames = timed(0, second // 2, second)
+    with Simulator("serial", frames) as device, host(device) as one:
+        one.read(1)
+        begin = time.monotonic()
+        one.read_all(device)
+        assert time.monotonic() - begin >= 0.9
+
+
+def test_frames_without_a_time_go_with_the_one_before_and_are_counted() -> None:
+    frames = array(Frame(1, ts=0), *[Frame(n, ts=NO_TIME) for n in range(100)])
+    with Simulator("seeed", frames) as device, host(device) as one:
+        assert one.read_all(device) == canser.encode(frames, "seeed")
+        report = device.report()
+    assert (report.pace, report.frames, report.frames_untimed) == ("traffic", 101, 100)
+
+
+def test_those_of_a_frame_that_was_cut_are_counted_too() -> None:
+    with Simulator("seeed", NEVER, pace="max", unplug_after=7) as device, host(device) as one:
+        one.read(100)
+        assert device.wait_unplugged(PATIENCE)
+        report = device.report()
+    assert (report.frames, report.frames_untimed) == (2, 2)
 
 
 def test_a_loop_goes_on_in_time() -> None:
@@ -573,17 +621,27 @@ def test_a_dead_link_is_replaced(tmp_path: Path) -> None:
 
 def test_what_it_fails_at_is_raised() -> None:
     bad = array(Frame(1), Frame(0x800, ext=True))
-    with pytest.raises(ValueError, match="frame 1"), Simulator("cantalope", bad) as device:
+    before = open_descriptors()
+    with pytest.raises(ValueError, match="frame 1"), Simulator("cantalope", bad):
+        pass
+    assert open_descriptors() == before
+    good = array(Frame(1))
+    with (
+        pytest.raises(ValueError, match="frame 0"),
+        Simulator("cantalope", [good, array(Frame(1, err=True))]) as device,
+        host(device),
+    ):
         device.wait(PATIENCE)
     with (
         pytest.raises(ValueError, match="frame 0"),
-        Simulator("cantalope", array(Frame(1, err=True))) as device,
+        Simulator("cantalope", [good, array(Frame(1, err=True))]) as device,
+        host(device),
     ):
         until(device._ended.is_set)
 
 
 WRONG: list[tuple[dict[str, object], str]] = [
-    ({"pace": "slow"}, "unknown pace 'slow'; have: line, traffic, max"),
+    ({"pace": "slow"}, "unknown pace 'slow'; have: traffic, line, max"),
     ({"baudrate": 0}, "baudrate is 0"),
     ({"noise": 1.5}, "noise is 1.5"),
     ({"loss": float("nan")}, "loss is nan"),

@@ -44,7 +44,7 @@ def add(commands: Commands) -> None:
         "simulate",
         "be an adapter on a pseudo terminal: no hardware needed",
         "  canser simulate -p seeed                      prints its name, sends for ever\n"
-        "  canser simulate -p serial --traffic run.log --pace traffic --link /tmp/can\n"
+        "  canser simulate -p serial --traffic run.log --link /tmp/can\n"
         "  canser simulate -p seeed --seconds 60 --pace max --copy sent.bin\n"
         "  canser simulate -p cantalope --noise 0.001 --stall 100000:2 --report sent.json",
         run=run,
@@ -68,9 +68,8 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--pace",
         choices=PACES,
-        default="line",
-        help="as the serial line carries, by the frames' times, or as fast as the host reads "
-        "(default: line)",
+        help="by the frames' times, as the serial line carries, or as fast as the host reads "
+        "(default: traffic; line with --baudrate, or if the frames have no times)",
     )
     parser.add_argument(
         "--baudrate",
@@ -132,6 +131,8 @@ def run(args: argparse.Namespace) -> int:
         if args.report is not None and args.report != "-":
             target = files.enter_context(whole_file(args.report, force=args.force))
         traffic, loop = _traffic(args)
+        if args.baudrate is not None and args.pace in {"traffic", "max"}:
+            raise CallError(f"--baudrate is of --pace line, not {args.pace}: leave one of them out")
         with (
             stop_on_signals() as stop,
             Simulator(
@@ -150,6 +151,8 @@ def run(args: argparse.Namespace) -> int:
                 copy=copy,
             ) as device,
         ):
+            if args.pace is None and args.baudrate is None and device.report().pace == "line":
+                say(f"{args.traffic}: the frames have no times; sent as fast as the line carries")
             show([device.url])
             _run(device, stop)
         report = device.report()
@@ -243,6 +246,8 @@ def _carries_extended(protocol: str) -> bool:
 def _summary(report: SimulatorReport) -> Iterator[str]:
     """Yield what there is to say at the end."""
     yield f"{report.frames:,} frames, {report.bytes_sent:,} bytes sent"
+    if report.frames_untimed and report.pace == "traffic":
+        yield f"frames without a time, each sent with the one before: {report.frames_untimed:,}"
     if report.bytes_lost or report.bytes_inserted or report.bytes_flipped:
         yield (
             f"faults: bytes lost {report.bytes_lost:,}, added {report.bytes_inserted:,}, "

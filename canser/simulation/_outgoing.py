@@ -36,6 +36,7 @@ class Counts:
 
     frames: int = 0  # damaged ones too
     intact: int = 0  # of these, without a hit
+    untimed: int = 0  # of all frames, those without a time
     encoded: int = 0
     lost: int = 0
     inserted: int = 0
@@ -62,6 +63,7 @@ class Block:
         seed: tuple[int, int],
     ) -> None:
         clean = encode(frames, protocol, ts_unit=ts_unit)
+        self._untimed = np.append(0, np.cumsum(frames["ts"] == NO_TIME))
         starts = np.empty(len(frames), np.int64)
         # Whoever decodes what was encoded finds where each frame begins.
         found = decode(clean, protocol, ts_unit=ts_unit, offsets=starts)
@@ -124,7 +126,8 @@ class Block:
             lost = len(self._lost)  # those behind the last byte too
         encoded = self.sent + lost - inserted
         frames = int(np.searchsorted(self._clean_ends, encoded, "right"))
-        return Counts(frames, int(self._intact[frames]), encoded, lost, inserted, flipped)
+        intact, untimed = int(self._intact[frames]), int(self._untimed[frames])
+        return Counts(frames, intact, untimed, encoded, lost, inserted, flipped)
 
     def counts_cut(self) -> Counts:
         """Return what has gone out, with the rest of the frame that is going out as lost."""
@@ -135,6 +138,7 @@ class Block:
             counts.lost += frame_end - counts.encoded
             counts.encoded = frame_end
             counts.frames += 1
+            counts.untimed = int(self._untimed[counts.frames])
         return counts
 
 
@@ -211,8 +215,9 @@ def rounds(
 class Outgoing:
     """The bytes that are to go out: those of the traffic, and answers between two frames.
 
-    `timed`: the traffic goes out by its times. What `next` returns is offered, and what
-    `wrote` says of it has gone. `answering` counts the bytes of answers that wait.
+    `timed`: the traffic goes out by its times; None: if any of the first frames has one, and
+    then it is set. What `next` returns is offered, and what `wrote` says of it has gone.
+    `answering` counts the bytes of answers that wait.
     """
 
     def __init__(
@@ -222,7 +227,7 @@ class Outgoing:
         *,
         ts_unit: str,
         loop: bool,
-        timed: bool,
+        timed: bool | None,
         noise: float,
         loss: float,
         seed: int,
@@ -230,7 +235,8 @@ class Outgoing:
         self._protocol, self._ts_unit = protocol, ts_unit
         self._noise, self._loss, self._seed = noise, loss, seed
         self._traffic = rounds(traffic, loop=loop)
-        self._timed = timed
+        self.timed = timed
+        self._begun = False  # the first frames have been looked at
         self._config: Report | None = None
         self._rest: tuple[FrameArray, _Times] | None = None  # of a block that was cut
         # What the block is made of, and when it is due.
@@ -288,14 +294,14 @@ class Outgoing:
         if block is None:
             return memoryview(b"")
         end = block.boundary() if self._answers or self._renewing else len(block.data)
-        if self._timed:
+        if self.timed:
             end = min(end, max(block.sent, block.due_end(elapsed_ns)))
         return block.data[block.sent : min(end, block.sent + room)]
 
     def wait_ns(self, elapsed_ns: int) -> int:
         """Return for how long nothing is to go out, when `next` has returned nothing."""
         block = self._load()
-        if block is None or not self._timed:
+        if block is None or not self.timed:
             return 0
         return max(block.next_due() - elapsed_ns, _TOGETHER_NS)
 
@@ -348,8 +354,8 @@ class Outgoing:
 
     def _encode(self, frames: FrameArray, due: _Times) -> None:
         """Make the next block, of the frames that pass the filter."""
-        if self._timed and (frames["ts"] == NO_TIME).any():
-            raise ValueError("pace 'traffic' needs the times of all frames; use 'line' or 'max'")
+        if not self._begun and len(frames):
+            self._begin(frames)
         self._chunk, self._kept = (frames, due), np.flatnonzero(self._passed(frames))
         if not len(self._kept):
             return
@@ -363,6 +369,18 @@ class Outgoing:
             loss=self._loss,
             seed=(self._seed, self._blocks),
         )
+
+    def _begin(self, first: FrameArray) -> None:
+        """Find out whether there are times to send by."""
+        self._begun = True
+        any_time = bool((first["ts"] != NO_TIME).any())
+        if self.timed and not any_time:
+            raise ValueError(
+                "pace 'traffic' sends frames by their times, and these have none; "
+                "use 'line' or 'max'"
+            )
+        if self.timed is None:
+            self.timed = any_time
 
     def _passed(self, frames: FrameArray) -> npt.NDArray[np.bool_]:
         config = self._config

@@ -23,7 +23,7 @@ from canser.simulation._terminal import Link, Terminal
 
 __all__ = ["PACES", "Simulator", "SimulatorReport"]
 
-PACES: Final = ("line", "traffic", "max")
+PACES: Final = ("traffic", "line", "max")
 
 _MS: Final = 1_000_000  # nanoseconds
 
@@ -62,8 +62,10 @@ class SimulatorReport:
     """
 
     protocol: str
+    pace: str  # "traffic", "line" or "max"
     frames: int  # of the traffic that were sent, damaged ones too
     frames_intact: int  # of these, with no byte lost, flipped or added within
+    frames_untimed: int  # of all that were sent, those without a time
     bytes_encoded: int  # of these frames
     bytes_lost: int  # by injected faults
     bytes_inserted: int
@@ -91,8 +93,11 @@ class Simulator:
     0.1 s later. It pauses while nobody has it open and while the terminal is full; so nothing
     is lost that is not lost on purpose.
 
-    `pace`: "line" sends as fast as the serial line of `baudrate` (default: that of the
-    adapters) carries, "traffic" by the frames' times, "max" as fast as the host reads.
+    `pace`: "traffic" sends by the frames' times, as an adapter on a bus does; a frame without
+    a time goes out with the one before it. "line" sends as fast as the serial line of
+    `baudrate` (default: that of the adapters) carries, which may be more than a bus carries,
+    "max" as fast as the host reads. By default it is "traffic", but "line" where a baudrate is
+    given or the first frames have no time at all; `report` tells which.
 
     It behaves as an adapter does: sends ping and status request straight back (there are no
     bus errors) between two frames, unless `deaf`; takes a configuration, sends only frames
@@ -108,8 +113,9 @@ class Simulator:
     with each `replug`. `copy`: a binary file that gets the very bytes that were sent.
 
     A context manager: plugged in at its start, unplugged and gone at its end. ValueError
-    for wrong arguments; PortError where there are no pseudo terminals. What the thread
-    fails at, as frames that the format cannot carry, comes from `wait` and at the end.
+    for wrong arguments; PortError where there are no pseudo terminals. The first frames are
+    taken at the start. What the thread fails at, as later frames that the format cannot
+    carry, comes from `wait` and at the end.
     """
 
     def __init__(
@@ -119,7 +125,7 @@ class Simulator:
         *,
         ts_unit: str = "ms",
         loop: bool = False,
-        pace: str = "line",
+        pace: str | None = None,
         baudrate: int | None = None,
         echo: bool = False,
         deaf: bool = False,
@@ -135,9 +141,7 @@ class Simulator:
         self.protocol = self._decoder.protocol
         self.echo = echo
         self.deaf = deaf
-        if pace not in PACES:
-            raise ValueError(f"unknown pace {pace!r}; have: {', '.join(PACES)}")
-        self._pace = pace
+        self._pace = _pace_asked(pace, baudrate)
         self._baudrate = adapters.baudrate(self.protocol) if baudrate is None else baudrate
         if self._baudrate < 1:
             raise ValueError(f"baudrate is {baudrate}; it must be 1 or more")
@@ -160,7 +164,7 @@ class Simulator:
             traffic,
             ts_unit=ts_unit,
             loop=loop,
-            timed=pace == "traffic",
+            timed=None if self._pace is None else self._pace == "traffic",
             noise=noise,
             loss=loss,
             seed=seed,
@@ -204,6 +208,8 @@ class Simulator:
             opening.callback(os.close, self._wake_out)
             os.set_blocking(self._wake_in, False)
             self._plug()
+            opening.callback(self._hang_up)
+            self._out.ready()  # takes the first frames, and so the pace is known
             opening.pop_all()
         self._thread = threading.Thread(target=self._serve, name="canser simulator", daemon=True)
         self._thread.start()
@@ -250,8 +256,10 @@ class Simulator:
             stats = self._decoder.stats
             return SimulatorReport(
                 protocol=self.protocol,
+                pace=self._paced(),
                 frames=sent.frames,
                 frames_intact=sent.intact,
+                frames_untimed=sent.untimed,
                 bytes_encoded=sent.encoded,
                 bytes_lost=sent.lost,
                 bytes_inserted=sent.inserted,
@@ -506,11 +514,16 @@ class Simulator:
             # A request reads as a status without errors, and there are none here.
             self._out.answer(adapters.status_request(self.protocol))
 
+    def _paced(self) -> str:
+        """Return the pace; where none was asked for, that of the first frames' times."""
+        return self._pace or ("line" if self._out.timed is False else "traffic")
+
     def _send(self, terminal: Terminal) -> int:
         """Write what is due; return for how many nanoseconds nothing more is."""
         self._sending = True
         room = _BURST
-        if self._pace == "line":
+        pace = self._paced()
+        if pace == "line":
             due = self._elapsed_ns * self._baudrate // (_BITS * 1_000_000_000)
             room = min(room, due - self._bytes_sent)
         stop = self._stop_at()
@@ -529,7 +542,7 @@ class Simulator:
                 self._sending, self._full = False, True
                 return _FULL_NS
             room -= taken
-        return _TICK_NS if self._pace == "line" and stop != self._bytes_sent else 0
+        return _TICK_NS if pace == "line" and stop != self._bytes_sent else 0
 
     def _stop_at(self) -> int | None:
         """Return after how many bytes it stalls or unplugs itself, if it does."""
@@ -565,3 +578,10 @@ class Simulator:
         if terminal is not None:
             self._link.remove()
             self._bytes_unread += terminal.close()
+
+
+def _pace_asked(pace: str | None, baudrate: int | None) -> str | None:
+    """Return the pace that is asked for; None where the first frames decide."""
+    if pace is not None and pace not in PACES:
+        raise ValueError(f"unknown pace {pace!r}; have: {', '.join(PACES)}")
+    return "line" if pace is None and baudrate is not None else pace
