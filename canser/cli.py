@@ -33,7 +33,7 @@ def _parser() -> argparse.ArgumentParser:
         "  canser dump run.bin -p seeed --filter 123:7FF | head\n"
         "  canser log -c /dev/ttyUSB0 -p seeed run.pcapng   record a port\n"
         "  canser monitor -c /dev/ttyUSB0 -p seeed      watch it\n"
-        "  canser simulate -p seeed                     be an adapter, without hardware\n\n"
+        "  canser simulate -p seeed                     simulate an adapter\n\n"
         f"protocols: {', '.join(protocols())}\n"
         "exit codes: 0 good, 1 the data is bad, 2 the call is wrong",
         formatter_class=argparse.RawDescriptionHelpFormatter,

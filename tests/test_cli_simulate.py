@@ -6,6 +6,7 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +15,8 @@ from pathlib import Path
 import pytest
 
 import canser
+from canser.cli import main
+from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import damage, vehicle
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
@@ -201,6 +204,70 @@ def test_a_host_that_leaves_does_not_keep_it(tmp_path: Path) -> None:
     sent = len(canser.encode(vehicle(0.2), "seeed"))
     assert said[0] == f"{len(vehicle(0.2)):,} frames, {sent:,} bytes sent"
     assert said[1] == f"not read by the host: {sent - 10:,} of the bytes sent"
+
+
+@pytest.mark.parametrize(
+    "options", [["--seconds", "1"], ["--traffic", "run.log"]], ids=["seconds", "file"]
+)
+def test_without_a_host_it_ends(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    options: list[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("canser.commands.simulate._HOST_PATIENCE_S", 0.3)
+    Path("run.log").write_text("(1.0) can0 123#11\n(2.0) can0 123#11\n")
+    assert main(["simulate", "-p", "seeed", *options, "--report", "sent.json"]) == BAD_DATA
+    out, err = capfd.readouterr()
+    said = err.splitlines()
+    assert said[0] == "0 frames, 0 bytes sent"
+    assert said[1].startswith(f"canser: no host had {out.strip()} open for 0.3 s")
+    assert len(said) == 2
+    assert json.loads(Path("sent.json").read_text())["bytes_sent"] == 0
+
+
+def test_a_host_that_leaves_in_the_middle_ends_it(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("canser.commands.simulate._HOST_PATIENCE_S", 0.5)
+
+    def host() -> None:
+        while not os.path.lexists("device"):
+            time.sleep(0.005)
+        read("device", 100)
+
+    leaving = threading.Thread(target=host)
+    leaving.start()
+    assert main(["simulate", "-p", "seeed", "--seconds", "3600", "--link", "device"]) == BAD_DATA
+    leaving.join()
+    said = capfd.readouterr().err.splitlines()
+    assert not said[0].startswith("0 frames")
+    assert said[-1].startswith("canser: no host had device open for 0.5 s, and not all was sent")
+
+
+@pytest.mark.parametrize(
+    "options", [[], ["--traffic", "run.log", "--loop"]], ids=["made", "file in a loop"]
+)
+def test_traffic_without_an_end_waits_for_a_host(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("canser.commands.simulate._HOST_PATIENCE_S", 0.1)
+    Path("run.log").write_text("(1.0) can0 123#11\n(2.0) can0 123#11\n")
+    looks: list[float | None] = []
+    wait = Simulator.wait
+
+    def counted(device: Simulator, timeout: float | None = None) -> bool:
+        looks.append(timeout)
+        if len(looks) == 8:  # looks, each 0.1 s: well over the patience
+            signal.raise_signal(signal.SIGTERM)
+        return wait(device, timeout)
+
+    monkeypatch.setattr(Simulator, "wait", counted)
+    assert main(["simulate", "-p", "seeed", *options]) == GOOD
+    assert len(looks) >= 8
 
 
 def test_what_the_host_sends_is_told(tmp_path: Path) -> None:

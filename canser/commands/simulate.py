@@ -1,4 +1,4 @@
-"""`canser simulate`: an adapter that is not there, on a pseudo terminal."""
+"""`canser simulate`: an adapter without hardware, on a pseudo terminal."""
 
 import argparse
 import contextlib
@@ -14,6 +14,7 @@ from canser._output import whole_file
 from canser._signals import Stop, stop_on_signals
 from canser.codec import TS_UNITS, encode, protocols
 from canser.commands._common import (
+    BAD_DATA,
     GOOD,
     CallError,
     Commands,
@@ -33,8 +34,15 @@ __all__ = ["add"]
 # The traffic that is made goes round in this many seconds.
 _ROUND = 60.0
 
-# So long the end waits for a host that does not read, and for one that comes back.
-_PATIENCE = 2.0
+# The command looks at its simulator this often.
+_LOOK_S = 0.1
+
+# How long the end waits for a host that does not read, and for one that comes back.
+_PATIENCE_S = 2.0
+
+# How long traffic that has an end waits for a host, before the first byte and between two: time
+# to type the other command, or for a slow machine to start it. A script must not hang for ever.
+_HOST_PATIENCE_S = 30.0
 
 
 def add(commands: Commands) -> None:
@@ -42,7 +50,7 @@ def add(commands: Commands) -> None:
     parser = add_command(
         commands,
         "simulate",
-        "be an adapter on a pseudo terminal: no hardware needed",
+        "simulate an adapter on a pseudo terminal: no hardware needed",
         "  canser simulate -p seeed                      prints its name, sends for ever\n"
         "  canser simulate -p serial --traffic run.log --link /tmp/can\n"
         "  canser simulate -p seeed --seconds 60 --pace max --copy sent.bin\n"
@@ -62,7 +70,9 @@ def add(commands: Commands) -> None:
         "--seconds",
         type=_number(float),
         metavar="S",
-        help="send so many seconds of a vehicle's traffic, then end",
+        help="send S seconds of a vehicle's traffic, then end; the time runs while a host has "
+        "the terminal open. With --seconds, or FILE without --loop, the exit code is 1 if no "
+        f"host has it open for {_HOST_PATIENCE_S:g} seconds",
     )
     parser.add_argument("--loop", action="store_true", help="send FILE over and over")
     parser.add_argument(
@@ -154,7 +164,8 @@ def run(args: argparse.Namespace) -> int:
             if args.pace is None and args.baudrate is None and device.report().pace == "line":
                 say(f"{args.traffic}: the frames have no times; sent as fast as the line carries")
             show([device.url])
-            _run(device, stop)
+            endless = loop or (args.traffic is None and args.seconds is None)
+            failure = _run(device, stop, endless=endless)
         report = device.report()
         text = json.dumps(dataclasses.asdict(report), indent=2)
         if target is not None:
@@ -163,23 +174,36 @@ def run(args: argparse.Namespace) -> int:
             show([text])
     for line in _summary(report):
         say(line)
+    if failure:
+        say(f"canser: {failure}")
+        return BAD_DATA
     return GOOD
 
 
-def _run(device: Simulator, stop: Stop) -> None:
-    """Serve until all is sent and read, the host has gone, or somebody wants it to end."""
-    waits = 0.0
-    while not stop and not device.wait(0.1):
-        if not device.finished:
-            continue
-        waits += 0.1
-        if not device.connected and waits > _PATIENCE:
-            return
-        if device.connected and abs(waits - _PATIENCE) < 0.05:
-            say("all is sent; waiting for the host to read the rest (Ctrl-C ends)")
+def _run(device: Simulator, stop: Stop, *, endless: bool) -> str:
+    """Serve until the end; return what has failed, "" for nothing.
+
+    The end: all is sent and read, a signal has come, or no host is there any more.
+    """
+    # Seconds by the number of looks: a machine that is busy or asleep is given more time.
+    away = finished = 0.0
+    while not stop and not device.wait(_LOOK_S):
+        away = 0.0 if device.connected else away + _LOOK_S
+        if device.finished:
+            finished += _LOOK_S
+            if away > _PATIENCE_S:
+                return ""
+            if not away and abs(finished - _PATIENCE_S) < _LOOK_S / 2:
+                say("all is sent; waiting for the host to read the rest (Ctrl-C ends)")
+        elif away > _HOST_PATIENCE_S and not endless:
+            return (
+                f"no host had {device.url} open for {_HOST_PATIENCE_S:g} s, and not all was sent; "
+                "start the host sooner, or send traffic without an end"
+            )
     if stop:
         device.stop()
-        device.wait(_PATIENCE)
+        device.wait(_PATIENCE_S)
+    return ""
 
 
 def _traffic(args: argparse.Namespace) -> tuple[FrameArray | Iterable[FrameArray], bool]:
