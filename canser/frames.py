@@ -29,25 +29,34 @@ NO_TIME: Final = int(np.iinfo(np.int64).min)
 # SocketCAN's flags above the 29 bits of an id, as filters write them.
 _EXT, _RTR, _ERR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 
-_FILTER = re.compile(r"(?P<id>[0-9A-Fa-f]{1,8})?(?P<kind>[:~#])(?P<mask>[0-9A-Fa-f]{1,8})")
+# The largest ids, of 11 and of 29 bits.
+_STANDARD_MAX, _EXTENDED_MAX = 0x7FF, 0x1FFF_FFFF
+
+_NUMBER = "(?:0[xX])?(?P<{}>[0-9A-Fa-f]{{1,8}})"
+_ID_ALONE = re.compile(_NUMBER.format("id"))
+_FILTER = re.compile(f"(?:{_NUMBER.format('id')})?(?P<kind>[:~#]){_NUMBER.format('mask')}")
 
 
 def match(frames: FrameArray, *filters: str) -> npt.NDArray[np.bool_]:
-    """Mark the frames that pass any of the filters, in can-utils' notation.
+    """Mark the frames that pass any of the filters: ids, or can-utils' notation.
 
     `frames`: array of FRAME_DTYPE, any shape. Returns a boolean array of that
-    shape: `frames[canser.match(frames, "123:7FF")]`. Hexadecimal:
+    shape: `frames[canser.match(frames, "123")]`. Hexadecimal, with or without 0x:
 
+    - `ID`       data and remote frames with exactly that id: standard where ID has
+      one to three digits (`123`), extended where it has eight (`18FEF100`); four to
+      seven digits are an error
     - `ID:MASK`  (id & MASK) == (ID & MASK)
     - `ID~MASK`  the inverse
     - `#MASK`    error frames with (id & MASK) != 0; no other filter passes those
 
     Bits 31 and 30 of ID and MASK stand for extended and remote frames:
     `123:7FF` passes 0x123 of every kind, `123:C00007FF` standard data frames
-    only. An ID of eight digits means extended. Without a filter all pass.
+    only. An ID of eight digits means extended. So `123` is `123:800007FF`, and
+    `18FEF100` is `18FEF100:9FFFFFFF`. Without a filter all pass.
     TypeError for another dtype, ValueError for a filter that cannot be read.
 
-    Source: candump's manual page, and the kernel's `can_rcv_filter`.
+    Source: candump's manual page, and the kernel's `can_rcv_filter`; ID alone is canser's own.
     """
     if getattr(frames, "dtype", None) != FRAME_DTYPE:
         raise TypeError(
@@ -73,13 +82,42 @@ def match(frames: FrameArray, *filters: str) -> npt.NDArray[np.bool_]:
     return passed
 
 
+def with_mask(text: str) -> str:
+    """Return a filter with the mask that an ID alone stands for; any other as it is.
+
+    ValueError for digits that are no id.
+    """
+    found = _ID_ALONE.fullmatch(text)
+    if not found:
+        return text
+    digits, value = found["id"], int(found["id"], 16)
+    if len(digits) <= 3:
+        if value > _STANDARD_MAX:
+            raise ValueError(
+                f"the filter {text!r} is over {_STANDARD_MAX:X}, the largest standard id; "
+                f"write {digits:0>8} for the extended id"
+            )
+        return f"{digits}:{_EXT | _STANDARD_MAX:08X}"
+    if len(digits) < 8:
+        raise ValueError(
+            f"the filter {text!r} has {len(digits)} digits; a standard id has up to three, an "
+            f"extended id eight: write {digits:0>8}, or ID:MASK"
+        )
+    if value > _EXTENDED_MAX:
+        raise ValueError(
+            f"the filter {text!r} is over {_EXTENDED_MAX:X}, the largest extended id; "
+            "write ID:MASK for an id with flags, #MASK for error frames"
+        )
+    return f"{digits}:{_EXT | _EXTENDED_MAX:08X}"
+
+
 def _parse_filter(text: str) -> tuple[str, np.uint32, np.uint32]:
     """Read one filter into its kind, id and mask, flags as SocketCAN has them."""
-    found = _FILTER.fullmatch(text) if isinstance(text, str) else None
+    found = _FILTER.fullmatch(with_mask(text)) if isinstance(text, str) else None
     if not found or (found["kind"] == "#") != (found["id"] is None):
         raise ValueError(
             f"cannot read the filter {text!r}; write ID:MASK, ID~MASK or #MASK in hexadecimal, "
-            "such as 123:7FF"
+            "such as 123:7FF, or an id of three or eight digits"
         )
     wanted = int(found["id"] or "0", 16)
     mask = int(found["mask"], 16)
@@ -94,7 +132,7 @@ def _parse_filter(text: str) -> tuple[str, np.uint32, np.uint32]:
 
 def flaw(arbitration_id: int, ext: bool, dlc: int) -> str | None:
     """Return what keeps these from being a frame of classic CAN, None for nothing."""
-    limit = 0x1FFF_FFFF if ext else 0x7FF
+    limit = _EXTENDED_MAX if ext else _STANDARD_MAX
     if not 0 <= arbitration_id <= limit:
         return f"the id {arbitration_id:#x} is over {limit:#x}"
     if not 0 <= dlc <= 8:

@@ -253,9 +253,14 @@ ERRORS = {
         ["missing/x.log", "No such file"],
     ),
     "bad filter": (
-        ["dump", "seeed.bin", "-p", "seeed", "--filter", "123"],
+        ["dump", "seeed.bin", "-p", "seeed", "--filter", "12G"],
         BAD_CALL,
-        ["'123'", "ID:MASK", "123:7FF"],
+        ["'12G'", "ID:MASK", "123:7FF"],
+    ),
+    "filter of half an id": (
+        ["dump", "seeed.bin", "-p", "seeed", "--filter", "18FE"],
+        BAD_CALL,
+        ["'18FE' has 4 digits", "write 000018FE, or ID:MASK"],
     ),
     "empty file": (["info", "empty.bin"], BAD_DATA, ["empty.bin", "empty"]),
     "text": (["info", "text.txt"], BAD_DATA, ["text.txt is a text, not raw bytes"]),

@@ -433,6 +433,7 @@ def test_a_port_in_use(tmp_path: Path) -> None:
         (["run.pcapng", "--keep", "3"], "give their size or time"),
         (["run.pcapng", "--before", "5s"], "name one with --trigger"),
         (["run.pcapng", "--trigger", "12Q:7FF"], "cannot read the filter"),
+        (["run.pcapng", "--trigger", "18FE"], "write 000018FE, or ID:MASK"),
         (["run.pcapng", "--bitrate", "123"], "is none of the adapter's"),
         (["run.pcapng", "--mode", "silent"], "give its bitrate"),
         (["run.pcapng", "--mode", "quiet"], "invalid choice"),

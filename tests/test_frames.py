@@ -68,10 +68,58 @@ SOME = frames_of(
         # Several: any of them.
         (("456:7FF", "#1FFFFFFF"), {OTHER, ERR}),
         (("123:7ff", "456:7ff"), {STD, EXT, RTR, OTHER}),
+        # 0x is allowed, and adds no digits.
+        (("0x123:0X7FF",), {STD, EXT, RTR}),
+        (("0x00000123:0xDFFFFFFF",), {EXT}),
+        (("0x123~0x7ff",), {OTHER}),
+        (("#0xFF",), {ERR}),
     ],
 )
 def test_match_is_can_utils_notation(filters: tuple[str, ...], expected: set[int]) -> None:
     assert set(np.flatnonzero(canser.match(SOME, *filters))) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "same", "expected"),
+    [
+        ("123", "123:800007FF", {STD, RTR}),
+        ("0x123", "123:800007FF", {STD, RTR}),
+        ("00000123", "00000123:9FFFFFFF", {EXT}),
+        ("0X00000123", "00000123:9FFFFFFF", {EXT}),
+        # Neither the error frame 020 nor an id that ends so: three digits are never a suffix.
+        ("020", "020:800007FF", set()),
+        ("20", "020:800007FF", set()),
+        ("6", "006:800007FF", set()),
+    ],
+)
+def test_digits_alone_are_exactly_that_id(text: str, same: str, expected: set[int]) -> None:
+    assert set(np.flatnonzero(canser.match(SOME, text))) == expected
+    assert set(np.flatnonzero(canser.match(SOME, same))) == expected
+
+
+def test_every_standard_id_alone_passes_itself_only() -> None:
+    every = np.zeros(0x1000, FRAME_DTYPE)
+    every["id"] = np.arange(0x1000) % 0x800
+    every["ext"][0x800:] = True
+    for number in range(0x800):
+        for text in {f"{number:X}", f"{number:03x}"}:
+            assert np.flatnonzero(canser.match(every, text)).tolist() == [number]
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("1234", "has 4 digits; a standard id has up to three, an extended id eight: "),
+        ("0x1234", "write 00001234, or ID:MASK"),
+        ("18FEF1", "has 6 digits"),
+        ("0000123", "write 00000123"),
+        ("800", "is over 7FF, the largest standard id; write 00000800 for the extended id"),
+        ("20000080", "is over 1FFFFFFF, the largest extended id; .* #MASK for error frames"),
+    ],
+)
+def test_digits_that_are_no_id_are_an_error_with_the_remedy(text: str, reason: str) -> None:
+    with pytest.raises(ValueError, match=f"^the filter '{text}' .*{reason}"):
+        canser.match(SOME, "123:7FF", text)
 
 
 def test_match_keeps_the_shape() -> None:
@@ -80,7 +128,12 @@ def test_match_keeps_the_shape() -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "123", "123:", ":7FF", "123:7FG", "123#7FF", "~7FF", "123456789:7FF", " 1:2", "#"]
+    "text",
+    [
+        *("", "12G", "123:", ":7FF", "123:7FG", "123#7FF", "~7FF", "123456789:7FF", " 1:2", "#"),
+        *("123456789", "0x", "0x:7FF", "0x#FF", "00x123", "1_2", "+12", "12 ", "12\n"),
+        *("1_2:7FF", "123:0x", "\u0661\u0662\u0663", "\u0661:7FF", "0x0x12:7FF"),
+    ],
 )
 def test_a_filter_that_cannot_be_read_is_an_error_with_the_remedy(text: str) -> None:
     with pytest.raises(ValueError, match=r"cannot read the filter .*ID:MASK"):

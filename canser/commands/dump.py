@@ -30,7 +30,7 @@ def add(commands: Commands) -> None:
         "dump",
         "print frames as candump does",
         "  canser dump run.bin -p seeed | head\n"
-        "  canser dump run.bin -p seeed --filter 123:7FF --filter 18FEF100:1FFFFFFF\n"
+        "  canser dump run.bin -p seeed --filter 123 --filter 18FEF100 --filter 7E0:7F8\n"
         "  canser dump run.pcapng\n"
         "  cat /dev/ttyUSB0 | canser dump - -p seeed",
         run=run,
@@ -42,8 +42,9 @@ def add(commands: Commands) -> None:
         metavar="FILTER",
         action="append",
         default=[],
-        help="only frames that pass: ID:MASK, ID~MASK (inverse) or #MASK (error frames), "
-        "hexadecimal; several: any of them",
+        help="only frames that pass: an id of up to three (standard) or of eight digits "
+        "(extended), ID:MASK, ID~MASK (inverse) or #MASK (error frames), hexadecimal; several: "
+        "any of them",
     )
 
 

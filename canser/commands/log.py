@@ -85,7 +85,7 @@ def add(commands: Commands) -> None:
         "record the bytes of a port, with their times, in pcapng files",
         "  canser log -c /dev/ttyUSB0 -p seeed --bitrate 500000 run.pcapng\n"
         "  canser log -c /dev/ttyUSB0 -p seeed --size 100M --keep 20 run.pcapng\n"
-        "  canser log -c /dev/ttyACM0 -p serial --trigger 123:7FF --trigger error \\\n"
+        "  canser log -c /dev/ttyACM0 -p serial --trigger 123 --trigger error \\\n"
         "      --before 10s --after 30s event.pcapng\n"
         "  canser log -c socket://gateway:4000 -p serial --reconnect --json \\\n"
         "      run.pcapng | jq .frames_per_s",
@@ -114,8 +114,9 @@ def add(commands: Commands) -> None:
         metavar="FILTER",
         action="append",
         default=[],
-        help="a frame that passes ID:MASK, ID~MASK or #MASK (hexadecimal), or 'error': an "
-        "error frame or an error that the adapter reports; several: any of them",
+        help="a frame that passes: an id of up to three (standard) or of eight digits (extended), "
+        "ID:MASK, ID~MASK or #MASK, hexadecimal; or 'error': an error frame or an error that the "
+        "adapter reports; several: any of them",
     )
     events.add_argument("--before", metavar="TIME", type=duration, help="(default: 5s)")
     events.add_argument("--after", metavar="TIME", type=duration, help="(default: 5s)")
