@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 
 from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray
 from canser.monitoring import livetable
-from canser.monitoring.livetable import COLUMNS, ROW_DTYPE, LiveTable, RowArray, choose, ordered
+from canser.monitoring.livetable import (
+    COLUMNS,
+    ROW_DTYPE,
+    LiveTable,
+    RowArray,
+    choose,
+    exact,
+    ordered,
+)
 from reference import Frame
 from samples import MILLISECOND as MS
 from samples import array
@@ -273,18 +281,49 @@ def test_ids_downwards() -> None:
         ("100:7FF 18FE", ["100", "18FEF1AA"]),
         ("100:7FF,102", ["100", "102"]),
         ("7", []),
+        ("0x18f", ["18F", "18FEF1AA"]),
+        ("0X18F:0x7FF", ["18F"]),
     ],
 )
 def test_a_filter_chooses(text: str, chosen: list[str]) -> None:
+    rows, names = filtered_rows()
+    assert [names[at] for at in np.flatnonzero(choose(rows, text))] == chosen
+
+
+@pytest.mark.parametrize(
+    ("text", "spelled", "chosen"),
+    [
+        ("", "", ["100", "102", "18F", "000018F0", "18FEF1AA", "ERR"]),
+        ("18F", "18F:800007FF", ["18F"]),
+        ("0x102,100:7FF", "102:800007FF 100:7FF", ["100", "102"]),
+        ("10", "10:800007FF", []),
+        ("18FEF1AA  4", "18FEF1AA:9FFFFFFF 4:800007FF", ["18FEF1AA"]),
+        ("#4", "#4", ["ERR"]),
+    ],
+)
+def test_exact_filters_keep_their_meaning_where_digits_are_prefixes(
+    text: str, spelled: str, chosen: list[str]
+) -> None:
+    rows, names = filtered_rows()
+    assert exact(text) == spelled
+    assert [names[at] for at in np.flatnonzero(choose(rows, spelled))] == chosen
+
+
+@pytest.mark.parametrize("text", ["18FE", "100 800", "123:", "#", "\u0661"])
+def test_an_exact_filter_that_cannot_be_read_is_an_error(text: str) -> None:
+    with pytest.raises(ValueError, match=r"the filter .* write "):
+        exact(text)
+
+
+def filtered_rows() -> tuple[RowArray, list[str]]:
+    """Return some rows, and their names."""
     table = LiveTable()
     for standard in (0x100, 0x102, 0x18F):
         table.add(sent(1, arbitration_id=standard))
     for extended in (0x18F0, 0x18FEF1AA):
         table.add(sent(1, arbitration_id=extended, ext=True))
     table.add(sent(1, arbitration_id=0x004, err=True))
-    rows = table.rows()
-    names = ["100", "102", "18F", "000018F0", "18FEF1AA", "ERR"]
-    assert [names[at] for at in np.flatnonzero(choose(rows, text))] == chosen
+    return table.rows(), ["100", "102", "18F", "000018F0", "18FEF1AA", "ERR"]
 
 
 @given(st.integers(0, 0x7FF), st.integers(1, 3))
@@ -296,7 +335,7 @@ def test_the_first_digits_of_an_id_choose_it(arbitration_id: int, count: int) ->
     assert choose(rows, prefix).tolist() == expected
 
 
-@pytest.mark.parametrize("text", ["123:", "xyz", "123:7FF nope", "123456789", "12#4"])
+@pytest.mark.parametrize("text", ["123:", "xyz", "123:7FF nope", "123456789", "12#4", "\u0661"])
 def test_a_filter_that_cannot_be_read_is_an_error(text: str) -> None:
     with pytest.raises(ValueError, match=r"cannot read the filter .*such as 123:7FF"):
         choose(np.empty(0, ROW_DTYPE), text)

@@ -274,6 +274,9 @@ def test_filter_as_typed_kept_or_cancelled() -> None:
     async def test(screen: Screen) -> None:
         await screen.send(*(frames(i, b"a") for i in (0x101, 0x102, 0x201)))
         await screen.pilot.press("slash", *"10")
+        assert "digits alone: the first of an id" in [
+            str(each.content) for each in screen.app.query("#filter Static").results(Static)
+        ]
         assert screen.ids() == ["101", "102"]
         assert screen.counter("ids") == "2/3"
         await screen.pilot.press(*"2:")
@@ -610,6 +613,10 @@ def test_without_a_terminal_the_command_says_so() -> None:
 
 def test_a_filter_that_cannot_be_read_is_told() -> None:
     assert "cannot read the filter '12:'" in fails(*CALL, "--filter", "12:")
+
+
+def test_a_filter_of_the_call_is_exact() -> None:
+    assert "'18FE' has 4 digits" in fails(*CALL, "--filter", "123", "--filter", "18FE")
 
 
 def test_help_fits_80_columns(

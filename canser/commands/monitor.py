@@ -5,13 +5,11 @@ import math
 import sys
 import time
 
-import numpy as np
-
 from canser._signals import stop_on_signals
 from canser.commands._common import GOOD, CallError, Commands, add_command
 from canser.commands._port import open_port, port_arguments, staying_arguments
 from canser.commands._screen import warnings_as_lines
-from canser.monitoring.livetable import ROW_DTYPE, choose
+from canser.monitoring.livetable import exact
 
 __all__ = ["add"]
 
@@ -23,9 +21,10 @@ def add(commands: Commands) -> None:
         "monitor",
         "show the live table of a port, by id",
         "  canser monitor -c /dev/ttyUSB0 -p seeed --bitrate 500000\n"
-        "  canser monitor -c /dev/ttyUSB0 -p seeed --filter 123:7FF --filter 18F\n\n"
+        "  canser monitor -c /dev/ttyUSB0 -p seeed --filter 123 --filter 7E0:7F8\n\n"
         "keys: i n p j d s sort by id, count, period, jitter, dlc, last seen (again: the\n"
-        "other way round); / filter, space pause, c clear, q quit",
+        "other way round); / filter (digits alone are there the first of an id), space\n"
+        "pause, c clear, q quit",
         run=run,
         parents=[port_arguments(), staying_arguments()],
     )
@@ -35,8 +34,9 @@ def add(commands: Commands) -> None:
         metavar="FILTER",
         action="append",
         default=[],
-        help="only ids that pass: ID:MASK, ID~MASK (inverse), #MASK (error frames) or the "
-        "first digits of an id, hexadecimal; several: any of them",
+        help="only ids that pass: an id of up to three (standard) or of eight digits (extended), "
+        "ID:MASK, ID~MASK (inverse) or #MASK (error frames), hexadecimal; several: any of them; "
+        "the filter line, opened by /, shows and changes it",
     )
 
 
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
             raise
         raise CallError("the monitor needs textual: pip install 'canser[monitor]'") from None
     try:
-        choose(np.empty(0, ROW_DTYPE), " ".join(args.filters))
+        filters = exact(" ".join(args.filters))
     except ValueError as error:
         raise CallError(str(error)) from None
     if not all(stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr)):
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     ):
         app = Monitor(
             port,
-            filters=" ".join(args.filters),
+            filters=filters,
             bitrate=args.bitrate,
             remarks=remarks,
             stopped=lambda: stop.wanted or time.monotonic() >= end,

@@ -7,9 +7,9 @@ from typing import Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, match
+from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, match, with_mask
 
-__all__ = ["COLUMNS", "ROW_DTYPE", "LiveTable", "RowArray", "choose", "ordered"]
+__all__ = ["COLUMNS", "ROW_DTYPE", "LiveTable", "RowArray", "choose", "exact", "ordered"]
 
 RowArray = npt.NDArray[np.void]
 
@@ -42,7 +42,7 @@ _KEEP: Final = 0.5 ** (1 / _HALF)
 # and have no row.
 _IDS_MOST: Final = 1 << 14
 
-_PREFIX = re.compile("[0-9A-Fa-f]{1,8}")
+_PREFIX = re.compile("(?:0[xX])?(?P<digits>[0-9A-Fa-f]{1,8})")
 
 _Places = npt.NDArray[np.intp]
 _Scalar = TypeVar("_Scalar", bound=np.generic)
@@ -219,25 +219,45 @@ def ordered(rows: RowArray, by: str, *, descending: bool = False) -> RowArray:
     return rows[np.argsort(values, kind="stable")]
 
 
+def _terms(text: str) -> list[str]:
+    return text.replace(",", " ").split()
+
+
+def exact(text: str) -> str:
+    """Return filters as `match` reads them, spelled so that `choose` reads them the same.
+
+    An id alone, which is the first digits of ids to `choose`, gets its mask: `123` becomes
+    `123:800007FF`. ValueError for a filter that cannot be read.
+    """
+    filters = [with_mask(term) for term in _terms(text)]
+    match(np.empty(0, FRAME_DTYPE), *filters)
+    return " ".join(filters)
+
+
 def choose(rows: RowArray, text: str) -> npt.NDArray[np.bool_]:
     """Mark the rows that pass a filter: the notation of `match`, or the first digits of an id.
 
-    Several, with blanks or commas between: those that pass any. `18F` passes the standard id
-    0x18F and all extended ids from 0x18F00000 to 0x18FFFFFF; those of error frames have eight
-    digits, too. No filter passes all. ValueError for one that cannot be read.
+    Several, with blanks or commas between: those that pass any. Digits alone are the first of
+    an id, and not the whole id as in `match`, for they are typed one by one: `18F` passes the
+    standard id 0x18F and all extended ids from 0x18F00000 to 0x18FFFFFF; those of error frames
+    have eight digits, too. No filter passes all. ValueError for one that cannot be read.
     """
-    terms = text.replace(",", " ").split()
-    filters = [term for term in terms if not _PREFIX.fullmatch(term)]
-    passed = np.full(len(rows), not terms)
+    prefixes, filters = list[str](), list[str]()
+    for term in _terms(text):
+        found = _PREFIX.fullmatch(term)
+        if found:
+            prefixes.append(found["digits"])
+        else:
+            filters.append(term)
+    passed = np.full(len(rows), not prefixes and not filters)
     if filters:
         frames = np.zeros(len(rows), FRAME_DTYPE)
         for name in ("id", "ext", "rtr", "err"):
             frames[name] = rows[name]
         passed |= match(frames, *filters)
     digits = np.where(rows["ext"] | rows["err"], 8, 3)
-    for prefix in terms:
-        if _PREFIX.fullmatch(prefix):
-            left = 4 * (digits - len(prefix))
-            head = rows["id"] >> np.maximum(left, 0).astype(np.uint32)
-            passed |= (left >= 0) & (head == int(prefix, 16))
+    for prefix in prefixes:
+        left = 4 * (digits - len(prefix))
+        head = rows["id"] >> np.maximum(left, 0).astype(np.uint32)
+        passed |= (left >= 0) & (head == int(prefix, 16))
     return passed

@@ -155,7 +155,8 @@ class Monitor(App[None]):
         yield Static(id="note", markup=False)
         with Horizontal(id="filter"):
             yield Static("Filter", markup=False)
-            yield _FilterLine(placeholder="123:7FF  18F  #FF", compact=True)
+            yield _FilterLine(placeholder="18F  123:7FF  #FF", compact=True)
+            yield Static("digits alone: the first of an id", markup=False)
         yield Static(id="wrong", markup=False)
         yield Footer(compact=True)
 
