@@ -136,11 +136,11 @@ MODE_NAMES: Final = tuple(
 
 
 def find_protocol(name: str) -> Protocol:
-    """Return the protocol of a name or accepted spelling, or raise."""
+    """Return the protocol of a name or accepted spelling, in any case, or raise."""
     if not isinstance(name, str):
         raise TypeError(f"protocol must be a name such as 'serial', not {describe(name)}")
     try:
-        return _SPELLINGS[name]
+        return _SPELLINGS[name.lower()]
     except KeyError:
         have = ", ".join(PROTOCOLS)
         raise ValueError(f"unknown protocol {name!r}; have: {have}") from None

@@ -306,6 +306,11 @@ ERRORS = {
         BAD_CALL,
         ["same.pcapng and run.pcapng are one file"],
     ),
+    "protocol in capitals": (
+        ["dump", "text.txt", "-p", "SEEED"],
+        BAD_DATA,
+        ["no seeed frame"],
+    ),
     "raw bytes as a log": (
         ["info", "seeed.bin", "--from", "log"],
         BAD_DATA,

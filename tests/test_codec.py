@@ -41,7 +41,11 @@ def test_protocols_are_the_table_of_c() -> None:
 
 @pytest.mark.parametrize(
     ("spelling", "name"),
-    [("python-can", "serial"), ("seeedstudio", "seeed"), ("waveshare", "seeed")],
+    [
+        *[("python-can", "serial"), ("seeedstudio", "seeed"), ("waveshare", "seeed")],
+        *[("SERIAL", "serial"), ("Seeed", "seeed"), ("Cantalope", "cantalope")],
+        ("Waveshare", "seeed"),
+    ],
 )
 def test_other_spellings_are_accepted(spelling: str, name: str) -> None:
     assert canser.Decoder(spelling).protocol == name
@@ -49,8 +53,11 @@ def test_other_spellings_are_accepted(spelling: str, name: str) -> None:
 
 
 def test_unknown_names_say_what_there_is() -> None:
-    with pytest.raises(ValueError, match="unknown protocol 'foo'; have: cantalope, seeed, serial"):
-        canser.decode(b"", "foo")
+    with pytest.raises(ValueError, match="unknown protocol 'Foo'; have: cantalope, seeed, serial"):
+        canser.decode(b"", "Foo")
+    # A letter that is only much like an s.
+    with pytest.raises(ValueError, match="unknown protocol"):
+        canser.decode(b"", "\u017ferial")
     with pytest.raises(TypeError, match="protocol must be a name"):
         canser.Decoder(3)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="unknown ts_unit 'min'; have: s, ms, us, ns"):
