@@ -83,6 +83,7 @@ FLOORS = [
     [
         "canser.convert",
         "canser.commands._common",
+        "canser.commands._numbers",
         "canser",
     ],
     [

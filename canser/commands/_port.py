@@ -7,15 +7,19 @@ from typing import Final
 from canser import adapters
 from canser.codec import TS_UNITS, protocols
 from canser.commands._common import CallError, Parser, protocol_name
+from canser.commands._numbers import duration, whole
 from canser.errors import PortBusyError, PortDeniedError, PortNotFoundError
 from canser.live import ports
 from canser.live.ports import Port
 from canser.live.stream import Tap
 
-__all__ = ["duration", "open_port", "port_arguments", "staying_arguments"]
+__all__ = ["open_port", "port_arguments", "staying_arguments"]
 
-_DURATION: Final = re.compile(r"(?P<number>\d+(?:\.\d+)?)\s*(?P<unit>ms|s|min|m|h|d)?")
-_SECONDS: Final = {"ms": 0.001, "s": 1, "min": 60, "m": 60, "h": 3600, "d": 86400, None: 1}
+_HEX: Final = "(?:0[xX])?([0-9A-Fa-f]{1,8})"
+_ADAPTER_FILTER: Final = re.compile(f"{_HEX}:{_HEX}")
+
+# What a system call takes for a rate of the line: 31 bits.
+_BAUDRATE_MOST: Final = (1 << 31) - 1
 
 
 def port_arguments() -> argparse.ArgumentParser:
@@ -36,10 +40,14 @@ def port_arguments() -> argparse.ArgumentParser:
         required=True,
         help=f"what the adapter speaks: {', '.join(protocols())}",
     )
-    group.add_argument("--baudrate", type=int, help="of the line (default: the protocol's own)")
+    group.add_argument(
+        "--baudrate",
+        type=whole(least=1, most=_BAUDRATE_MOST),
+        help="of the line (default: the protocol's own)",
+    )
     group.add_argument(
         "--bitrate",
-        type=int,
+        type=whole(least=1),
         help="of the CAN bus in bit/s: the adapter is set to it where it can be; a load of the "
         "bus is shown by it, without stuff bits",
     )
@@ -60,7 +68,8 @@ def port_arguments() -> argparse.ArgumentParser:
         metavar="ID:MASK",
         type=_adapter_filter,
         default=(0, 0),
-        help="frames that the adapter passes on, with --bitrate; hexadecimal (default: all)",
+        help="frames that the adapter passes on, with --bitrate; hexadecimal, such as 123:7FF "
+        "(default: all)",
     )
     group.add_argument(
         "--once",
@@ -132,18 +141,10 @@ def open_port(args: argparse.Namespace, *, tap: Tap | None = None) -> Port:
         raise CallError(str(error)) from None
 
 
-def duration(text: str) -> float:
-    """Return the seconds of a time such as 500ms, 5s, 10m, 1h or 2d; an argparse type."""
-    found = _DURATION.fullmatch(text)
-    if found is None:
-        raise argparse.ArgumentTypeError(f"cannot read the time {text!r}; write 500ms, 5s, 10m, 1h")
-    return float(found["number"]) * _SECONDS[found["unit"]]
-
-
 def _adapter_filter(text: str) -> tuple[int, int]:
-    parts = text.split(":")
-    if len(parts) != 2 or not all(re.fullmatch("[0-9A-Fa-f]{1,8}", part) for part in parts):
+    found = _ADAPTER_FILTER.fullmatch(text)
+    if not found:
         raise argparse.ArgumentTypeError(
             f"cannot read the filter {text!r}; write ID:MASK in hexadecimal, such as 123:7FF"
         )
-    return int(parts[0], 16), int(parts[1], 16)
+    return int(found[1], 16), int(found[2], 16)

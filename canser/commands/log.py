@@ -25,7 +25,6 @@ With --json each line on standard output is an object with a `type` and a `time`
 import argparse
 import contextlib
 import json
-import re
 import sys
 import time
 from datetime import datetime
@@ -37,7 +36,8 @@ import numpy as np
 from canser import adapters, report
 from canser._signals import Stop, stop_on_signals
 from canser.commands._common import BAD_DATA, GOOD, CallError, Commands, add_command, say
-from canser.commands._port import duration, open_port, port_arguments, staying_arguments
+from canser.commands._numbers import byte_count, duration, whole
+from canser.commands._port import open_port, port_arguments, staying_arguments
 from canser.commands._screen import Lines, StatusLine, warnings_as_lines
 from canser.errors import PortError, StreamClosedError
 from canser.frames import FRAME_DTYPE, FrameArray, match
@@ -63,11 +63,6 @@ _EVERY: Final = 1.0
 
 _WINDOW: Final = 5.0  # seconds before and after a trigger, by default
 
-_SIZE: Final = re.compile(r"(?P<number>\d+(?:\.\d+)?)\s*(?P<unit>[kKMG]i?)?B?")
-_UNITS: Final = {
-    None: 1, "k": 10**3, "K": 10**3, "M": 10**6, "G": 10**9,
-    "ki": 1 << 10, "Ki": 1 << 10, "Mi": 1 << 20, "Gi": 1 << 30,
-}  # fmt: skip
 _SIZE_LEAST: Final = 100_000
 
 _REASONS: Final = {
@@ -105,7 +100,10 @@ def add(commands: Commands) -> None:
     turns.add_argument("--size", type=_size, help="bytes of a file at most, such as 100M")
     turns.add_argument("--time", type=duration, help="time in a file at most, such as 1h")
     turns.add_argument(
-        "--keep", metavar="N", type=int, help="delete the oldest files of this run, keep N"
+        "--keep",
+        metavar="N",
+        type=whole(least=1),
+        help="delete the oldest files of this run, keep N",
     )
     events = parser.add_argument_group("events", "record only what surrounds them, a file for each")
     events.add_argument(
@@ -173,10 +171,7 @@ def _recorder(args: argparse.Namespace) -> Recorder:
 
 
 def _size(text: str) -> int:
-    found = _SIZE.fullmatch(text)
-    if found is None:
-        raise argparse.ArgumentTypeError(f"cannot read the size {text!r}; write 500k, 100M or 1G")
-    size = int(float(found["number"]) * _UNITS[found["unit"]])
+    size = byte_count(text)
     if size < _SIZE_LEAST:
         raise argparse.ArgumentTypeError(
             f"the size {text} is too small for a file; give 100k or more"

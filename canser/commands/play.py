@@ -1,7 +1,6 @@
 """`canser play`: send the frames of a file, at the times at which they were recorded."""
 
 import argparse
-import math
 from collections.abc import Iterator
 
 from canser._signals import Stop, stop_on_signals
@@ -15,6 +14,7 @@ from canser.commands._common import (
     say,
     say_remarks,
 )
+from canser.commands._numbers import real
 from canser.commands._port import open_port, port_arguments
 from canser.files import FORMATS, FrameFile, format_of
 from canser.frames import FrameArray
@@ -25,6 +25,9 @@ __all__ = ["add"]
 
 # A line that takes nothing for so long, in seconds, does not work.
 _PATIENCE = 10.0
+
+# A day between two frames: the nanoseconds of many such gaps fit in 64 bits.
+_GAP_MOST_MS = 86_400_000
 
 
 def add(commands: Commands) -> None:
@@ -52,12 +55,12 @@ def add(commands: Commands) -> None:
     )
     pace = parser.add_mutually_exclusive_group()
     pace.add_argument(
-        "--speed", metavar="N", type=_positive, default=1.0, help="play N times as fast"
+        "--speed", metavar="N", type=real(above=True), default=1.0, help="play N times as fast"
     )
     pace.add_argument(
         "--gap",
         metavar="MS",
-        type=_milliseconds,
+        type=real(most=_GAP_MOST_MS),
         help="milliseconds between two frames, instead of their recorded times",
     )
     parser.add_argument("--loop", action="store_true", help="over and over, until interrupted")
@@ -146,27 +149,3 @@ def _tell(args: argparse.Namespace, played: Played) -> None:
         say(f"frames without a time, sent right behind those before them: {played.untimed:,}")
     if played.jumps:
         say(f"jumps of the recorded clock, passed over without a pause: {played.jumps:,}")
-
-
-def _positive(text: str) -> float:
-    number = _number(text)
-    if not number > 0:
-        raise argparse.ArgumentTypeError(f"{text} is too small; it must be more than 0")
-    return number
-
-
-def _milliseconds(text: str) -> float:
-    number = _number(text)
-    if number < 0:
-        raise argparse.ArgumentTypeError(f"{text} is too small; it must be 0 or more")
-    return number
-
-
-def _number(text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise argparse.ArgumentTypeError(f"{text!r} is no number")
-    return number

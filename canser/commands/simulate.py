@@ -4,8 +4,7 @@ import argparse
 import contextlib
 import dataclasses
 import json
-import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from typing import BinaryIO
 
 import numpy as np
@@ -24,6 +23,7 @@ from canser.commands._common import (
     say,
     show,
 )
+from canser.commands._numbers import real, whole
 from canser.files import FrameFile, format_of
 from canser.frames import FRAME_DTYPE, FrameArray
 from canser.simulation.simulator import PACES, Simulator, SimulatorReport
@@ -68,7 +68,7 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument(
         "--seconds",
-        type=_number(float),
+        type=real(),
         metavar="S",
         help="send S seconds of a vehicle's traffic, then end; the time runs while a host has "
         "the terminal open. With --seconds, or FILE without --loop, the exit code is 1 if no "
@@ -83,7 +83,7 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument(
         "--baudrate",
-        type=_number(int, least=1),
+        type=whole(least=1),
         metavar="N",
         help="of the line (default: that of the protocol's adapters)",
     )
@@ -96,14 +96,14 @@ def add(commands: Commands) -> None:
     parser.add_argument("--echo", action="store_true", help="send the host's frames back")
     parser.add_argument(
         "--noise",
-        type=_number(float, most=1),
+        type=real(most=1),
         default=0.0,
         metavar="SHARE",
         help="of the bytes that are lost, flipped or have one added in front, as 0.001",
     )
     parser.add_argument(
         "--loss",
-        type=_number(float, most=1),
+        type=real(most=1),
         default=0.0,
         metavar="SHARE",
         help="of the bytes that are lost in runs of 1 to 63",
@@ -118,7 +118,7 @@ def add(commands: Commands) -> None:
         help="fall silent after AT bytes for S seconds; several: each",
     )
     parser.add_argument(
-        "--seed", type=_number(int), default=1, metavar="N", help="of the faults (default: 1)"
+        "--seed", type=whole(), default=1, metavar="N", help="of the faults (default: 1)"
     )
     parser.add_argument(
         "--link", default="", metavar="PATH", help="a symbolic link to the terminal"
@@ -291,30 +291,11 @@ def _summary(report: SimulatorReport) -> Iterator[str]:
         yield f"flushed by the host, so that some bytes may be lost: {report.flushes:,} times"
 
 
-def _number(
-    kind: Callable[[str], float], *, least: float = 0, most: float = math.inf
-) -> Callable[[str], float]:
-    """Return an argument's type: a number within limits."""
-
-    def number(text: str) -> float:
-        try:
-            value = kind(text)
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
-        if not least <= value <= most:
-            limit = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
-            raise argparse.ArgumentTypeError(f"{text} must be {limit}")
-        return value
-
-    return number
-
-
 def _stall(text: str) -> tuple[int, float]:
     at, _, seconds = text.partition(":")
     try:
-        stall = int(at), float(seconds)
-        if stall[0] >= 0 and 0 <= stall[1] < math.inf:
-            return stall
-    except ValueError:
-        pass
-    raise argparse.ArgumentTypeError(f"{text!r} is no stall: give bytes and seconds, as 5000:2")
+        return whole()(at), real()(seconds)
+    except argparse.ArgumentTypeError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no stall: give bytes and seconds, as 5000:2"
+        ) from None

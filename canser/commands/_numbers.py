@@ -1,0 +1,93 @@
+"""The numbers that options take: ASCII digits only, within limits. Each is a type for argparse.
+
+int() and float() also read `1_000`, ` 5 `, `nan` and the digits of other scripts, which are
+typing errors here.
+"""
+
+import math
+import re
+from argparse import ArgumentTypeError
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Final
+
+__all__ = ["byte_count", "duration", "real", "whole"]
+
+# More digits than a count of anything has.
+_DIGITS_MOST: Final = 30
+
+_WHOLE: Final = re.compile(f"-?[0-9]{{1,{_DIGITS_MOST}}}")
+_REAL: Final = re.compile(r"-?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+
+_DURATION: Final = re.compile(r"(?P<number>[0-9]+(?:\.[0-9]+)?)(?: *(?P<unit>ms|s|min|m|h|d))?")
+_SECONDS: Final = {"ms": 0.001, "s": 1, "min": 60, "m": 60, "h": 3600, "d": 86400, None: 1}
+
+# Nanoseconds of it fit in 64 bits.
+_DAYS_MOST: Final = 100_000
+
+_BYTE_COUNT: Final = re.compile(r"(?P<number>[0-9]+(?:\.[0-9]+)?)(?: *(?:(?P<unit>[kKMG]i?)B?|B))?")
+_UNITS: Final = {
+    None: 1, "k": 10**3, "K": 10**3, "M": 10**6, "G": 10**9,
+    "ki": 1 << 10, "Ki": 1 << 10, "Mi": 1 << 20, "Gi": 1 << 30,
+}  # fmt: skip
+
+
+def whole(*, least: int = 0, most: int | None = None) -> Callable[[str], int]:
+    """Return a type for whole numbers from `least` to `most`."""
+
+    def parse(text: str) -> int:
+        if not _WHOLE.fullmatch(text):
+            raise _no_number(text, "a whole number such as 10")
+        value = int(text)
+        if value < least:
+            raise ArgumentTypeError(f"{text} must be {least} or more")
+        if most is not None and value > most:
+            raise ArgumentTypeError(f"{text} must be {least} to {most}")
+        return value
+
+    return parse
+
+
+def real(
+    *, least: float = 0, most: float = math.inf, above: bool = False
+) -> Callable[[str], float]:
+    """Return a type for numbers from `least` to `most`; with `above`, more than `least`."""
+
+    def parse(text: str) -> float:
+        if not _REAL.fullmatch(text):
+            raise _no_number(text, "a number such as 10 or 0.5")
+        value = float(text)
+        if value == math.inf:
+            raise ArgumentTypeError(f"{text} is too large")
+        if above and not value > least:
+            raise ArgumentTypeError(f"{text} is too small; it must be more than {least:g}")
+        if value < least:
+            raise ArgumentTypeError(f"{text} must be {least:g} or more")
+        if value > most:
+            raise ArgumentTypeError(f"{text} must be {least:g} to {most:.15g}")
+        return value
+
+    return parse
+
+
+def duration(text: str) -> float:
+    """Return the seconds of a time such as 500ms, 5s, 10m, 1h or 2d."""
+    found = _DURATION.fullmatch(text)
+    if found is None:
+        raise ArgumentTypeError(f"cannot read the time {text!r}; write 500ms, 5s, 10m, 1h")
+    seconds = float(found["number"]) * _SECONDS[found["unit"]]
+    if seconds > _DAYS_MOST * 86400:
+        raise ArgumentTypeError(f"the time {text} is too long; give {_DAYS_MOST}d or less")
+    return seconds
+
+
+def byte_count(text: str) -> int:
+    """Return the bytes of a size such as 500k, 100M or 1.5Gi."""
+    found = _BYTE_COUNT.fullmatch(text)
+    if found is None:
+        raise ArgumentTypeError(f"cannot read the size {text!r}; write 500k, 100M or 1G")
+    return int(Fraction(found["number"]) * _UNITS[found["unit"]])
+
+
+def _no_number(text: str, wanted: str) -> ArgumentTypeError:
+    return ArgumentTypeError(f"{text!r} is no number; write {wanted}")
