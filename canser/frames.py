@@ -6,7 +6,16 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["FRAME_DTYPE", "NO_TIME", "FrameArray", "describe", "flaw", "match"]
+__all__ = [
+    "FRAME_DTYPE",
+    "NO_TIME",
+    "FrameArray",
+    "copy_records",
+    "describe",
+    "flaw",
+    "match",
+    "put_records",
+]
 
 FrameArray = npt.NDArray[np.void]
 
@@ -144,3 +153,20 @@ def describe(value: object) -> str:
     """Name a value's type for an error message, with the dtype of an array."""
     dtype = getattr(value, "dtype", None)
     return type(value).__name__ if dtype is None else f"an array of {dtype}"
+
+
+def put_records(target: npt.NDArray[np.void], records: npt.NDArray[np.void]) -> None:
+    """Copy records into an array of the same dtype, of the same shape.
+
+    numpy copies records field by field, 15 to 50 ns a frame. As bytes without fields it
+    copies them whole, 1 ns a frame.
+    """
+    whole = f"V{records.dtype.itemsize}"
+    target.view(whole)[...] = records.view(whole)
+
+
+def copy_records(records: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
+    """Return a copy of records, contiguous, that owns its memory; see `put_records`."""
+    copy = np.empty(records.shape, records.dtype)
+    put_records(copy, records)
+    return copy

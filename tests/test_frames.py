@@ -1,10 +1,12 @@
 """The record and the filters."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 import canser
-from canser.frames import FRAME_DTYPE, NO_TIME
+from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_records
 
 
 def frames_of(*rows: tuple[int, bool, bool, bool]) -> canser.frames.FrameArray:
@@ -145,3 +147,64 @@ def test_match_of_no_frames_is_an_error() -> None:
         canser.match(np.zeros(3))  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="not list"):
         canser.match([1, 2], "1:1")  # type: ignore[arg-type]
+
+
+def counted(count: int) -> FrameArray:
+    """Return frames of which each byte is another one than that of its neighbours."""
+    size = count * FRAME_DTYPE.itemsize
+    return np.frombuffer((np.arange(size) * 37 % 251).astype(np.uint8).tobytes(), FRAME_DTYPE)
+
+
+def misaligned(frames: FrameArray) -> FrameArray:
+    return np.frombuffer(b"x" + frames.tobytes(), FRAME_DTYPE, offset=1)
+
+
+# Arrays as users have them, each made of some frames.
+KINDS: dict[str, Callable[[FrameArray], FrameArray]] = {
+    "whole": lambda frames: frames,
+    "none": lambda frames: frames[:0],
+    "every other one": lambda frames: frames[::2],
+    "backwards": lambda frames: frames[::-1],
+    "at an odd address": misaligned,
+    "every other one at an odd address": lambda frames: misaligned(frames)[1::2],
+    "one, over and over": lambda frames: np.broadcast_to(frames[3], 9),
+    "a table": lambda frames: frames[:8].reshape(2, 4),
+    "a table across": lambda frames: frames[:8].reshape(2, 4).T,
+    "recarray": lambda frames: frames.view(np.recarray),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_records_are_copied_as_numpy_copies_them(kind: str) -> None:
+    frames = KINDS[kind](counted(20))
+    copy = copy_records(frames)
+    assert copy.tobytes() == frames.tobytes()
+    assert copy.shape == frames.shape
+    assert copy.dtype == FRAME_DTYPE
+    assert copy.flags.c_contiguous
+    assert copy.flags.owndata
+    assert copy.flags.writeable
+    assert copy.flags.aligned
+
+
+@pytest.mark.parametrize("kind", ["every other one", "backwards", "at an odd address"])
+def test_records_are_put_where_an_array_may_be(kind: str) -> None:
+    room = bytearray(b"\xee" * (FRAME_DTYPE.itemsize * 20 + 1))
+    offset = kind == "at an odd address"
+    whole = np.frombuffer(room, FRAME_DTYPE, count=20, offset=offset)
+    target = {"every other one": whole[::2], "backwards": whole[::-1]}.get(kind, whole)
+    put_records(target, counted(20)[: len(target)])
+    assert target.tobytes() == counted(20)[: len(target)].tobytes()
+    assert room.count(b"\xee" * 24) >= (10 if kind == "every other one" else 0)
+
+
+def test_records_that_overlap_are_moved() -> None:
+    frames = counted(20).copy()
+    put_records(frames[1:], frames[:-1])
+    assert frames[1:].tobytes() == counted(20)[:-1].tobytes()
+
+
+def test_other_records_are_copied_too() -> None:
+    rows = np.array([(1, 2.5, b"abc"), (3, 4.5, b"de")], [("a", "i2"), ("b", "f8"), ("c", "S3")])
+    assert copy_records(rows).tolist() == rows.tolist()
+    assert copy_records(rows).dtype == rows.dtype
