@@ -7,11 +7,15 @@ from typing import Protocol
 import numpy as np
 
 from canser._binding import Chunk, Offsets, Pointer, Stream, output_room
-from canser.frames import FRAME_DTYPE, FrameArray
+from canser.frames import FRAME_DTYPE, FrameArray, put_records
 
 __all__ = ["SMALL", "FixedArray", "GrowingArray", "MakeChunk", "Sink"]
 
-# Room for this many frames is made without asking how many there will be: 1 MiB.
+# Where the bytes can hold no more frames than this, room for the most is made at once: 16 MiB.
+# What is not written takes no memory, and goes back to the system at the end.
+AT_ONCE = (16 << 20) // FRAME_DTYPE.itemsize
+
+# Where they can, the first room is for this many, 1 MiB: they tell how many there will be.
 SMALL = (1 << 20) // FRAME_DTYPE.itemsize
 
 
@@ -92,8 +96,9 @@ class GrowingArray(_Array):
         self._held = stream.pending
         self._frame_min = stream.protocol.frame_min
         self._copying = 0
-        self._copied = threading.Condition()
-        super().__init__(make_chunk, np.empty(min(self._most(), SMALL), FRAME_DTYPE), None)
+        self._copied: threading.Condition | None = None  # made for the first copy of a helper
+        most = self._most(source_len)
+        super().__init__(make_chunk, _make_room(most if most <= AT_ONCE else SMALL), None)
 
     def room(self) -> tuple[Pointer, int, Pointer]:
         """Return the rest of the array, which is larger now if it was full."""
@@ -107,41 +112,59 @@ class GrowingArray(_Array):
             self._grow(chunk.count)
         target, _, _ = super().room()
         self.count += chunk.count
-        with self._copied:
+        copied = self._copied = self._copied or threading.Condition()
+        with copied:
             self._copying += 1
 
         def deliver() -> None:
             try:
                 chunk.deliver(target, chunk.count)
             finally:
-                with self._copied:
+                with copied:
                     self._copying -= 1
-                    self._copied.notify_all()
+                    copied.notify_all()
 
         return deliver
 
     def result(self) -> FrameArray:
         """Return the array, of just the size; it owns its memory."""
-        if len(self._out) <= SMALL:
-            return self._out[: self.count].copy()
+        # What is too much is given back where it is: nobody else has seen the array.
         self._out.resize(self.count, refcheck=False)
         return self._out
 
-    def _most(self) -> int:
-        """Return room that is enough for the bytes to come, whatever they are."""
-        to_come = self._end - self._stream.position + self._held
-        return to_come // self._frame_min + 1
+    def _most(self, to_come: int) -> int:
+        """Return room that is enough for these bytes to come, whatever they are."""
+        return (to_come + self._held) // self._frame_min + 1
 
     def _grow(self, more: int) -> None:
         # The frames so far tell how many there will be; where the rest is denser than
         # they were, this happens again.
-        done = max(self._stream.position - self._start, 1)
+        position = self._stream.position
+        done = max(position - self._start, 1)
         count = self.count + more
         expected = int(count * ((self._end - self._start) / done) * 1.02) + SMALL
-        cap = min(max(expected, 2 * self.count), count + self._most())
-        larger = np.empty(cap, FRAME_DTYPE)
-        with self._copied:
-            while self._copying:
-                self._copied.wait()
-        larger[: self.count] = self._out[: self.count]
+        cap = min(max(expected, 2 * self.count), count + self._most(self._end - position))
+        larger = _make_room(cap)
+        if self._copied is not None:
+            with self._copied:
+                while self._copying:
+                    self._copied.wait()
+        put_records(larger[: self.count], self._out[: self.count])
         self._out = larger
+
+
+# glibc maps a block of this size or more from the system, unless one as large was freed before
+# (mallopt(3), M_MMAP_THRESHOLD).
+_MAPPED = (128 << 10) // FRAME_DTYPE.itemsize
+
+
+def _make_room(cap: int) -> FrameArray:
+    """Return room for this many frames in pages that the process has already, if it can be.
+
+    To touch a page that is new takes longer than to decode the frames in it, and a block that
+    was mapped has new pages each time: a loop over `decode` would take ten times as long.
+    One as large is freed first, untouched: from then on the C library keeps such blocks.
+    """
+    if cap >= _MAPPED:
+        np.empty(cap * FRAME_DTYPE.itemsize, np.uint8)
+    return np.empty(cap, FRAME_DTYPE)

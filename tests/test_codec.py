@@ -5,6 +5,8 @@ import ctypes
 import gc
 import mmap
 import pickle
+import platform
+import subprocess
 import sys
 import threading
 import tracemalloc
@@ -262,6 +264,41 @@ def test_arrays_that_are_returned_own_their_memory() -> None:
     large = canser.decode(RAW["seeed"] * 300, "seeed")
     assert large.base is None
     assert len(large) == 300 * len(SOME)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_new_array_holds_no_more_than_its_frames(protocol: str) -> None:
+    # Room for the most that the bytes can hold would be up to six times as much.
+    for times in (1, 20, 1000):
+        tracemalloc.start()
+        try:
+            frames = canser.decode(RAW[protocol] * times, protocol)
+            held, _ = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert frames.base is None
+        assert frames.flags.owndata
+        assert held < frames.nbytes + len(RAW[protocol]) * times + 100_000
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="it is the C library that keeps them")
+@pytest.mark.parametrize("count", [8_000, 90_000, 400_000])
+def test_decode_in_a_loop_takes_no_new_pages_from_the_system(count: int) -> None:
+    # A page that is new takes longer than the decoding of the frames in it.
+    code = f"""if True:
+        import resource
+        import canser, numpy as np
+        frames = np.zeros({count}, canser.FRAME_DTYPE)
+        frames["dlc"] = 8
+        raw = canser.encode(frames, "cantalope")
+        for round in range(30):
+            if round == 10:
+                begin = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+            frames = canser.decode(raw, "cantalope")
+        print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - begin)
+    """
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(run.stdout) < 20
 
 
 def test_dense_data_behind_sparse_data_is_whole() -> None:

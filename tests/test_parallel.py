@@ -215,6 +215,7 @@ def worst_case(worst: Worst) -> Iterator[Counter[str]]:
         patch.setattr(parallel, "_STRETCH_LEAST", min(worst.least, worst.stretch))
         patch.setattr(parallel, "_LEAD", worst.lead)
         patch.setattr(parallel, "_REST_MOST", worst.rest)
+        patch.setattr(sinks, "AT_ONCE", 0)
         patch.setattr(sinks, "SMALL", worst.small)
         patch.setattr(Stream, "join", join)
         patch.setattr(Stream, "advance", napping(Stream.advance))
@@ -724,6 +725,7 @@ def test_what_a_helper_raises_is_raised_to_the_caller(
 ) -> None:
     path = tmp_path / "run.bin"
     path.write_bytes(stream := capture("serial"))
+    monkeypatch.setattr(sinks, "AT_ONCE", 0)
     monkeypatch.setattr(sinks, "SMALL", 1)
 
     def run_blocks(out: FrameArray | None = None) -> None:
@@ -759,6 +761,7 @@ def test_a_helper_that_fails_still_delivers_what_others_wait_for(
     for module in (parallel, codec):
         monkeypatch.setattr(module, "STRETCH", length)
     monkeypatch.setattr(parallel, "_STRETCH_LEAST", length)
+    monkeypatch.setattr(sinks, "AT_ONCE", 0)
     monkeypatch.setattr(sinks, "SMALL", 1)
     passed = [threading.Event() for _ in range(5)]
     real_room, real_decode = sinks.GrowingArray.room, Chunk.decode
