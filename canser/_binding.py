@@ -273,29 +273,31 @@ def _nothing() -> None:
 class Stream:
     """The state of one stream in C, with room for its control packets.
 
-    Not safe for two threads: its owner takes a lock.
+    Without `keeps_controls` there is no such room: they are counted, not kept. Not safe for
+    two threads: its owner takes a lock.
     """
 
-    def __init__(self, protocol: Protocol, tick_ns: int) -> None:
+    def __init__(self, protocol: Protocol, tick_ns: int, *, keeps_controls: bool = True) -> None:
         self.protocol = protocol
         self._tick_ns = tick_ns
         self._state = ffi.new("canser_decoder *")
+        self._stats = self._state.stats
         # The batch and the bytes used, in one piece: what a call has found is read at
         # once, for each read costs as much as the decoding of some frames.
         self._memory = ffi.new("size_t[]", _BATCH_WORDS + 1)
         self._batch = ffi.cast("canser_batch *", self._memory)
         self._used = self._memory + _BATCH_WORDS
         self._found = self._memory + _FOUND_WORD
-        self._controls = np.zeros(_CONTROL_CAP, _CONTROL_DTYPE)
-        self._batch.controls = self._controls_at = ffi.from_buffer(
-            "canser_control[]", self._controls
-        )
-        self._batch.control_cap = _CONTROL_CAP
+        if keeps_controls:
+            self._controls = np.empty(_CONTROL_CAP, _CONTROL_DTYPE)
+            self._batch.controls = self._controls_at = ffi.from_buffer(
+                "canser_control[]", self._controls
+            )
+            self._batch.control_cap = _CONTROL_CAP
         # Where the last call's frames went, held by nobody here.
         self._out: Callable[[], object] = _nothing
         self._offsets: Callable[[], object] = _nothing
         self._cap = self._offset_cap = 0
-        self.aim_at(ffi.NULL, 0, ffi.NULL)
         self.reset()
 
     def aim(self, out: FrameArray, offsets: Offsets | None) -> None:
@@ -379,12 +381,12 @@ class Stream:
     @property
     def position(self) -> int:
         """The stream offset behind all bytes taken."""
-        return int(self._state.stats.bytes_in)
+        return int(self._stats.bytes_in)
 
     @property
     def skipped(self) -> int:
         """Bytes inside no packet."""
-        return int(self._state.stats.bytes_skipped)
+        return int(self._stats.bytes_skipped)
 
     @property
     def pending(self) -> int:
@@ -393,7 +395,7 @@ class Stream:
 
     def counters(self) -> dict[str, Any]:
         """Return every field of `Stats` by name."""
-        stats = self._state.stats
+        stats = self._stats
         values = {name: getattr(stats, name) for name, _ in ffi.typeof("canser_stats").fields}
         values["rejects"] = dict(zip(REJECT_NAMES, stats.rejects, strict=True))
         values["pending"] = self.pending

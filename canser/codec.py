@@ -81,10 +81,14 @@ class Decoder:
     several threads run in parallel.
     """
 
+    _keeps_controls = True  # for `take_controls`
+
     def __init__(self, protocol: str, *, ts_unit: str = "ms") -> None:
         self._protocol = _binding.find_protocol(protocol)
         self._ts_unit = ts_unit
-        self._stream = _binding.Stream(self._protocol, tick_ns(ts_unit))
+        self._stream = _binding.Stream(
+            self._protocol, tick_ns(ts_unit), keeps_controls=self._keeps_controls
+        )
         # Reentrant: `run_ahead` takes it step by step, also for those that hold it.
         self._lock = threading.RLock()
         self._controls: deque[npt.NDArray[np.void]] = deque()
@@ -259,11 +263,12 @@ class Decoder:
 
     def _run(self, source: Pointer, sink: Sink, *, ends: bool, threads: int = 1) -> None:
         """Decode all of `source` into a sink; the lock is held."""
-        start = self._stream.position
+        used = 0
         if threads > 1:
+            start = self._stream.position
             for _ in self.run_ahead(source, sink, threads):
                 pass
-        used = self._stream.position - start
+            used = self._stream.position - start
         while used < len(source):
             self._stream.aim_at(*sink.room())
             count, _, more = self._stream.feed(source + used, len(source) - used)
@@ -313,6 +318,12 @@ class Decoder:
                 yield
 
 
+class _OneShot(Decoder):
+    """A decoder of one whole buffer: it counts control packets, and keeps none."""
+
+    _keeps_controls = False
+
+
 def decode(
     data: BytesLike,
     protocol: str,
@@ -338,7 +349,7 @@ def decode(
     other errors as for `Decoder.feed_into`. For the counters use a `Decoder`.
     """
     check_threads(threads)
-    decoder = Decoder(protocol, ts_unit=ts_unit)
+    decoder = _OneShot(protocol, ts_unit=ts_unit)
     frames = decode_with(decoder, data, out=out, offsets=offsets, threads=threads)
     if not as_is and is_doubtful(decoder.protocol, decoder.position, decoder.skipped):
         warnings.warn(

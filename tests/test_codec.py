@@ -446,6 +446,18 @@ def test_control_packets_that_nobody_takes_are_bounded_and_counted() -> None:
     assert kept[-1] == canser.Control(3 * (count - 1), b"\xff\xff\x00")
 
 
+def test_decode_keeps_no_control_packets() -> None:
+    # Nobody could take them.
+    raw = b"\xff\xff\x00" * 100_000
+    tracemalloc.start()
+    try:
+        canser.decode(raw, "cantalope", out=np.empty(1, FRAME_DTYPE))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 100_000
+
+
 @pytest.mark.parametrize(("unit", "tick"), codec.TS_UNITS.items())
 def test_units_of_time(unit: str, tick: int) -> None:
     frames = np.zeros(3, FRAME_DTYPE)
