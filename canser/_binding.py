@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canser._core import ffi, lib
-from canser.frames import FRAME_DTYPE, FrameArray, describe
+from canser.frames import FRAME_DTYPE, FrameArray, copy_records, describe
 
 if TYPE_CHECKING:
     from typing_extensions import Buffer
@@ -376,7 +376,7 @@ class Stream:
     def controls(self) -> npt.NDArray[np.void] | None:
         """Return a copy of the control packets of the last call, None for none."""
         found = self._batch.control_count
-        return self._controls[:found].copy() if found else None
+        return copy_records(self._controls[:found]) if found else None
 
     @property
     def position(self) -> int:
@@ -444,7 +444,7 @@ class Chunk:
     def controls(self) -> npt.NDArray[np.void] | None:
         """Return a copy of its control packets, None for none."""
         found = self._batch.control_count
-        return self._controls[:found].copy() if found else None
+        return copy_records(self._controls[:found]) if found else None
 
     def deliver(self, out: Pointer, count: int, first: int = 0) -> None:
         """Copy `count` frames of the joined chunk to `out`, with their times."""

@@ -19,7 +19,7 @@ from canser._binding import (
 from canser._input import Input, Source
 from canser.codec import Decoder, check_threads, decode_with, protocols
 from canser.errors import CanserWarning
-from canser.frames import FRAME_DTYPE, FrameArray
+from canser.frames import FRAME_DTYPE, FrameArray, copy_records, put_records
 from canser.judge import (
     NoProtocolError,
     WrongProtocolError,
@@ -291,7 +291,7 @@ class Blocks(Iterator[FrameArray]):
             self._progress(self.bytes_done, self.bytes_total)
         # A block that is far from full would hold memory that nobody uses.
         wasteful = self._out is None and count < len(out) // 2
-        return out[:count].copy() if wasteful else out[:count]
+        return copy_records(out[:count]) if wasteful else out[:count]
 
 
 class _Fresh:
@@ -380,7 +380,7 @@ class _Reused:
     def _refill(self) -> None:
         begin = self.begun
         fits = min(len(self._rest), len(self._out) - begin)
-        self._out[begin : begin + fits] = self._rest[:fits]
+        put_records(self._out[begin : begin + fits], self._rest[:fits])
         self._rest = self._rest[fits:]
         if self._offsets is not None:
             self._offsets[begin : begin + fits] = self._rest_offsets[:fits]
@@ -464,7 +464,7 @@ def _read_recording(source: Input, recorded: RecordedFrames, offsets: Offsets | 
             done = recorded.decoder.position
             expected = int(count * (source.total or 2 * done) / done * 1.02)
             larger = np.empty(max(expected, count) + BLOCK_FRAMES, FRAME_DTYPE)
-            larger[:count] = whole[:count]
+            put_records(larger[:count], whole[:count])
             whole = larger
         return whole[count : count + BLOCK_FRAMES], at
 

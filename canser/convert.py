@@ -7,7 +7,7 @@ from typing import BinaryIO
 from canser.codec import TS_UNITS, encode_blocks, has_clock
 from canser.files import RAW, FrameFile
 from canser.formats import BY_SUFFIX
-from canser.frames import NO_TIME, FrameArray
+from canser.frames import NO_TIME, FrameArray, copy_records
 
 __all__ = ["Converted", "convert"]
 
@@ -74,7 +74,7 @@ def _counted(source: FrameFile, done: Converted, ts_unit: str | None) -> Iterato
                 done.remarks.append("times go out from the first frame on")
         done.frames += len(frames)
         if start:
-            shifted = frames.copy()
+            shifted = copy_records(frames)
             shifted["ts"][frames["ts"] != NO_TIME] -= start
             yield shifted
         else:

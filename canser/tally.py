@@ -97,7 +97,7 @@ class Tally:
         for rows in np.split(order, runs[1:]):
             key = int(keys[rows[0]])
             one = self.ids.setdefault((key & (_EXT - 1), key >= _EXT), IdTally())
-            self._add_id(one, frames[rows])
+            self._add_id(one, frames.take(rows))
 
     def _add_id(self, one: IdTally, frames: FrameArray) -> None:
         one.count += len(frames)

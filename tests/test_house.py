@@ -224,3 +224,26 @@ def test_protocols_are_named_in_c_only() -> None:
             if isinstance(node, ast.Constant) and isinstance(node.value, str)
         }
         assert not texts & {"cantalope", "seeed"}, name
+
+
+# What arrays of frames are called in the package.
+FRAMES = {"frames", "batch", "block", "room", "rows", "records", "out", "_out", "frames_of"}
+
+
+@pytest.mark.parametrize("tree", [tree for _, tree in MODULES], ids=[name for name, _ in MODULES])
+def test_frames_are_copied_whole(tree: ast.Module) -> None:
+    """`copy` and an array as index work field by field; see `put_records`, and use `compress`."""
+    slow = set()
+    for node in ast.walk(tree):
+        match node:
+            case ast.Call(func=ast.Attribute(value=array, attr="copy"), args=[]):
+                pass
+            case ast.Subscript(value=ast.Name() as array, slice=ast.Call() | ast.Attribute()):
+                pass
+            case _:
+                continue
+        names = {part.id for part in ast.walk(array) if isinstance(part, ast.Name)}
+        names |= {part.attr for part in ast.walk(array) if isinstance(part, ast.Attribute)}
+        if names & FRAMES:
+            slow.add(ast.unparse(node))
+    assert not slow

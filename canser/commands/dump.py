@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     with open_source(args) as source, standard_output() as out:
         writer = CandumpWriter(out)
         for frames in source:
-            writer.write(frames[match(frames, *args.filters)])
+            writer.write(frames.compress(match(frames, *args.filters)))
             out.flush()
         stats = None if source.decoder is None else source.decoder.stats
     if stats is not None and (stats.bytes_skipped or stats.controls):

@@ -6,6 +6,7 @@ from canser.codec import encode
 from canser.commands._common import GOOD, CallError, Commands, DataError, add_command, say
 from canser.commands._port import open_port, port_arguments
 from canser.formats.candump import frames_of
+from canser.frames import copy_records
 
 __all__ = ["add"]
 
@@ -38,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         frames = frames_of(args.frames)
         # What the format cannot carry is told before a port is opened.
-        timed = frames.copy()
+        timed = copy_records(frames)
         timed["ts"] = 0
         encode(timed, args.protocol)
     except ValueError as error:

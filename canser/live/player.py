@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from canser.frames import NO_TIME, FrameArray
+from canser.frames import NO_TIME, FrameArray, copy_records
 
 __all__ = ["Lateness", "Played", "play"]
 
@@ -155,7 +155,7 @@ def play(
             due = schedule.due(frames["ts"], played)
             if begin is None:
                 begin = time.monotonic_ns()
-            timed = frames.copy()
+            timed = copy_records(frames)
             timed["ts"] = due
             for batch in _batches(timed, begin):
                 if not wanted():

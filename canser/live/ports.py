@@ -19,7 +19,7 @@ from canser._binding import BytesLike, as_bytes, find_protocol, output_frames
 from canser.adapters import Report
 from canser.codec import Control, Decoder, Stats, decode, encode
 from canser.errors import PortClosedError, PortError, SendError, SendTimeoutError
-from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray
+from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_records
 from canser.live.line import Line, open_line
 from canser.live.link import NO_MORE, Link
 from canser.live.ring import Gap, Ring
@@ -246,7 +246,7 @@ class Port:
                 self._reading.release()
         batch = room[:count]
         # A batch that is far from full would hold memory that nobody uses.
-        return batch.copy() if out is None and count < len(room) // 2 else batch
+        return copy_records(batch) if out is None and count < len(room) // 2 else batch
 
     def batches(
         self, *, max_frames: int = 4096, timeout: float = 0.05, out: FrameArray | None = None
@@ -374,7 +374,7 @@ class Port:
         if self._clocked and getattr(frames, "dtype", None) == FRAME_DTYPE:
             unknown = frames["ts"] == NO_TIME
             if unknown.any():
-                frames = frames.copy()
+                frames = copy_records(frames)
                 frames["ts"][unknown] = self._clock() - self._opened_ns
         raw = encode(frames, self.protocol, ts_unit=self._ts_unit)
 
@@ -560,7 +560,7 @@ class Port:
     def _stash_from(self, room: FrameArray, *, first: bool) -> None:
         """Keep the frames that were decoded into `room` for the next read."""
         if self._stream.filled:
-            frames = room[: self._stream.filled].copy()
+            frames = copy_records(room[: self._stream.filled])
             if first:
                 self._stash.appendleft(frames)
             else:
@@ -590,7 +590,7 @@ class Port:
         while self._stash and count < len(room):
             frames = self._stash.popleft()
             fits = min(len(frames), len(room) - count)
-            room[count : count + fits] = frames[:fits]
+            put_records(room[count : count + fits], frames[:fits])
             count += fits
             if fits < len(frames):
                 self._stash.appendleft(frames[fits:])

@@ -115,7 +115,7 @@ class LiveTable:
                 order, places = order[~unknown], places[places >= 0]
                 starts = _starts(keys[order])
             if len(order):
-                self._add(frames[order], starts, places)
+                self._add(frames.take(order), starts, places)
 
     def _add(self, frames: FrameArray, starts: npt.NDArray[np.intp], places: _Places) -> None:
         """Take frames in the order of their rows; `starts`: where those of each place start."""
@@ -138,7 +138,7 @@ class LiveTable:
         good = (before != NO_TIME) & (ts >= before)
         self._add_intervals((ts - before)[good], np.add.reduceat(good, starts, dtype=int), places)
 
-        last = frames[starts + counts - 1]
+        last = frames.take(starts + counts - 1)
         for name in FRAME_DTYPE.names or ():
             old[name] = last[name]
         old["count"] += counts
@@ -216,7 +216,7 @@ def ordered(rows: RowArray, by: str, *, descending: bool = False) -> RowArray:
     if descending:
         # Of an integer the complement: unlike the negative it never overflows.
         values = ~values if values.dtype.kind in "iu" else -values
-    return rows[np.argsort(values, kind="stable")]
+    return rows.take(np.argsort(values, kind="stable"))
 
 
 def _terms(text: str) -> list[str]:

@@ -256,7 +256,7 @@ class Monitor(App[None]):
             self._take()
         self._ended = error is not None
         heading = self.query_one(Heading)
-        shown = self._rows[choose(self._rows, self._filter)]
+        shown = self._rows.compress(choose(self._rows, self._filter))
         shown = ordered(shown, heading.by, descending=heading.descending)
         self.query_one(Table).show(shown, self._now, self._frames, self._hint())
         self._show_status(len(shown))

@@ -17,7 +17,7 @@ from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 from canser._binding import find_protocol
 from canser.codec import protocols, tick_ns
 from canser.errors import PortError, SendTimeoutError
-from canser.frames import NO_TIME, FrameArray, flaw
+from canser.frames import NO_TIME, FrameArray, copy_records, flaw
 from canser.live import ports
 from canser.python_can._messages import Row, frames_of, rows
 
@@ -186,7 +186,7 @@ class CanserBus(can.BusABC):
             if not len(frames):
                 return frames
             if self._rules:
-                frames = frames[self._passes(frames)]
+                frames = frames.compress(self._passes(frames))
             if len(frames):
                 return frames
             timeout = None if deadline is None else deadline - time.monotonic()
@@ -208,11 +208,12 @@ class CanserBus(can.BusABC):
                 taken.append(self._queue.popleft())
         if self._watched:
             self._set_ready()
-        frames = frames_of(
+        read_only = frames_of(
             (round(ts * 1e9), number, ext, rtr, err, dlc, bytes(data))
             for ts, number, ext, rtr, err, _, dlc, data in taken
-        ).copy()
-        return frames[self._passes(frames)] if self._rules else frames
+        )
+        frames = copy_records(read_only)
+        return frames.compress(self._passes(frames)) if self._rules else frames
 
     def _apply_filters(self, filters: CanFilters | None) -> None:
         self._rules = [

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from canser.adapters import Report
 from canser.codec import decode, encode
-from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray
+from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records
 from canser.simulation.traffic import damage
 
 __all__ = ["Block", "Counts", "Outgoing", "rounds"]
@@ -201,7 +201,7 @@ def rounds(
                     last = max(last, int(times.max()))
                 due = schedule.due(frames["ts"])
                 if shift:
-                    frames = frames.copy()
+                    frames = copy_records(frames)
                     frames["ts"][timed] += shift
                 count += len(frames)
                 yield frames, due
@@ -361,7 +361,7 @@ class Outgoing:
             return
         self._blocks += 1
         self._block = Block(
-            frames[self._kept],
+            frames.take(self._kept),
             due[self._kept],
             self._protocol,
             self._ts_unit,

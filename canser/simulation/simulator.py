@@ -17,7 +17,7 @@ import numpy as np
 from canser import adapters
 from canser.adapters import Report
 from canser.codec import Decoder, encode
-from canser.frames import FRAME_DTYPE, FrameArray
+from canser.frames import FRAME_DTYPE, FrameArray, copy_records
 from canser.simulation._outgoing import Outgoing
 from canser.simulation._terminal import Link, Terminal
 
@@ -492,7 +492,7 @@ class Simulator:
         if not len(frames):
             return
         self._frames_received += len(frames)
-        self._received.append(frames.copy())
+        self._received.append(copy_records(frames))
         self._received_len += len(frames)
         while self._received_len - len(self._received[0]) >= _RECEIVED_KEPT:
             self._received_len -= len(self._received.popleft())

@@ -51,7 +51,7 @@ def vehicle(seconds: float, *, seed: int = 1, extended: bool = True) -> FrameArr
     asked["ts"] = np.arange(len(asked), dtype=np.int64) * 2_000 * _MS + 700 * _MS
     frames = np.concatenate([*streams, asked])
     frames["ts"] -= frames["ts"] % _MS
-    return frames[np.argsort(frames["ts"], kind="stable")]
+    return frames.take(np.argsort(frames["ts"], kind="stable"))
 
 
 def _payload(
