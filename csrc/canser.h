@@ -272,6 +272,10 @@ const char *canser_reject_name(int reason);
  * such refusal. */
 const char *canser_refusal_text(int refusal);
 
+/* What frames are called that are refused for a reason, where they are counted: a plural,
+ * constant. NULL if there is no such refusal. */
+const char *canser_refusal_name(int refusal);
+
 /* The name of a mode, and of a kind of control packets: lower case, constant. NULL
  * if there is none such. */
 const char *canser_mode_name(int mode);
@@ -353,6 +357,15 @@ int canser_decoder_flush(canser_decoder *self, canser_batch *batch);
  * CANSER_TICK, CANSER_MISALIGNED and CANSER_OVERLAP before anything was written. */
 int canser_encode(const canser_protocol *protocol, int64_t tick_ns, const canser_frame *frames,
                   size_t frame_count, uint8_t *out, size_t out_cap, canser_encoded *result);
+
+/* Tell of each of some frames why the format cannot carry it, as canser_encode() would:
+ * refusals[i] is CANSER_REFUSAL_*, NONE where it can; CANSER_REFUSAL_TIME only where there is
+ * no other reason.
+ *
+ * Returns CANSER_OK; CANSER_NULL, CANSER_MISALIGNED and CANSER_OVERLAP before anything was
+ * written. `refusals` has room for `frame_count`; it and `frames` may be NULL if that is 0. */
+int canser_refuse(const canser_protocol *protocol, const canser_frame *frames, size_t frame_count,
+                  uint8_t *refusals);
 
 /* Make the packet that configures an adapter. Any flag but 0 counts as 1.
  *

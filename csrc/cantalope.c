@@ -136,7 +136,8 @@ static void explain(const uint8_t *p, canser_report *report)
     }
 }
 
-static const struct canser_codec codec = {.scan = scan, .encode = encode, .explain = explain};
+static const struct canser_codec codec = {
+    .scan = scan, .encode = encode, .refuse = refuse, .explain = explain};
 
 const canser_protocol canser_protocol_cantalope = {
     .name = "cantalope",

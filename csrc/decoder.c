@@ -41,6 +41,20 @@ const char *canser_refusal_text(int refusal)
     return refusal >= 0 && refusal < CANSER_REFUSAL_COUNT ? texts[refusal] : NULL;
 }
 
+const char *canser_refusal_name(int refusal)
+{
+    static const char *const names[CANSER_REFUSAL_COUNT] = {
+        [CANSER_REFUSAL_NONE] = "",
+        [CANSER_REFUSAL_DLC] = "dlcs over 8",
+        [CANSER_REFUSAL_ID] = "standard ids over 0x7FF",
+        [CANSER_REFUSAL_ID_EXT] = "ids over 0x1FFFFFFF",
+        [CANSER_REFUSAL_EXT] = "extended ids",
+        [CANSER_REFUSAL_ERR] = "error frames",
+        [CANSER_REFUSAL_TIME] = "unknown times",
+    };
+    return refusal >= 0 && refusal < CANSER_REFUSAL_COUNT ? names[refusal] : NULL;
+}
+
 int canser_decoder_init(canser_decoder *self, const canser_protocol *protocol, int64_t tick_ns)
 {
     if (!self || !protocol)
@@ -229,4 +243,18 @@ int canser_encode(const canser_protocol *protocol, int64_t tick_ns, const canser
         result->frame_count += one.frame_count;
     }
     return result->refusal ? CANSER_REFUSED : CANSER_OK;
+}
+
+int canser_refuse(const canser_protocol *protocol, const canser_frame *frames, size_t frame_count,
+                  uint8_t *refusals)
+{
+    if (!protocol || ((!frames || !refusals) && frame_count))
+        return CANSER_NULL;
+    if (misaligned(frames, _Alignof(canser_frame)))
+        return CANSER_MISALIGNED;
+    if (spans_meet(span_of(frames, frame_count, sizeof *frames), span_of(refusals, frame_count, 1)))
+        return CANSER_OVERLAP;
+    for (size_t i = 0; i < frame_count; i++)
+        refusals[i] = (uint8_t)protocol->codec->refuse(frames + i);
+    return CANSER_OK;
 }

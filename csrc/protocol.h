@@ -116,6 +116,8 @@ struct canser_codec {
      * SCAN_WINDOW bytes are left in `out`. */
     void (*encode)(const canser_frame *frames, size_t frame_count, int64_t tick_ns, uint8_t *out,
                    size_t out_cap, canser_encoded *result);
+    /* Tell why the format cannot carry a frame: CANSER_REFUSAL_*, NONE where it can. */
+    int (*refuse)(const canser_frame *frame);
     /* Write the configuration packet: all values are in range, and the bit rate is
      * bitrates[rate]. NULL where the row has no bit rates. */
     void (*configure)(const canser_config *config, size_t rate, canser_packet *packet);

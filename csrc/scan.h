@@ -456,6 +456,14 @@ CANSER_NOINLINE emit_stop put_plain(const canser_frame *frame, const canser_fram
     return emit_loop(frame, until, tick_ns, out);
 }
 
+/* Why the format cannot carry a frame: CANSER_REFUSAL_*, NONE where it can. */
+static int refuse(const canser_frame *frame)
+{
+    const int refusal = refuse_frame(frame, HAS_EXT, HAS_ERR);
+
+    return !refusal && HAS_CLOCK && frame->ts == CANSER_NO_TIME ? CANSER_REFUSAL_TIME : refusal;
+}
+
 static void encode(const canser_frame *frames, size_t frame_count, int64_t tick_ns, uint8_t *out,
                    size_t out_cap, canser_encoded *result)
 {
@@ -478,9 +486,7 @@ static void encode(const canser_frame *frames, size_t frame_count, int64_t tick_
             out = at.out;
             if (frame == until)
                 break;
-            refusal = refuse_frame(frame, HAS_EXT, HAS_ERR);
-            if (HAS_CLOCK && frame->ts == CANSER_NO_TIME && !refusal)
-                refusal = CANSER_REFUSAL_TIME;
+            refusal = refuse(frame);
             if (refusal)
                 break;
             out = emit(frame, HAS_CLOCK ? count_ticks(frame->ts, tick_ns) : 0, out);

@@ -380,7 +380,7 @@ static void explain(const uint8_t *p, canser_report *report)
 }
 
 static const struct canser_codec codec = {
-    .scan = scan, .encode = encode, .configure = configure, .explain = explain};
+    .scan = scan, .encode = encode, .refuse = refuse, .configure = configure, .explain = explain};
 
 const canser_protocol canser_protocol_seeed = {
     .name = "seeed",

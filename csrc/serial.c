@@ -169,7 +169,7 @@ CANSER_INLINE uint8_t *emit(const canser_frame *frame, uint32_t raw, uint8_t *ou
 #define FRAME_MAX (HEADER + DLC_MAX + 1)
 #include "scan.h"
 
-static const struct canser_codec codec = {.scan = scan, .encode = encode};
+static const struct canser_codec codec = {.scan = scan, .encode = encode, .refuse = refuse};
 
 const canser_protocol canser_protocol_serial = {
     .name = "serial",

@@ -793,6 +793,28 @@ static bool spoil(int protocol, int refusal, canser_frame *f)
     }
 }
 
+/* Ask why each frame cannot be carried, and say what must come of it. */
+static void check_refuse(const canser_frame *frames, size_t count)
+{
+    const size_t frames_size = count * sizeof *frames;
+    canser_frame *const in = place(DRIVE_FRAMES, frames_size);
+    uint8_t *const refusals = place(DRIVE_INPUT, count);
+
+    memcpy(in, frames, frames_size);
+    check(canser_refuse(canser_protocol_at((size_t)now.protocol), in, count, refusals) == CANSER_OK,
+          "the status of refuse differs");
+    for (size_t i = 0; i < count; i++) {
+        uint8_t packet[CANSER_PACKET_MAX];
+        int refusal = CANSER_REFUSAL_NONE;
+
+        plain_encode(now.protocol, 1000, &frames[i], packet, &refusal);
+        check(refusals[i] == refusal, "refuse gives another reason");
+    }
+    check(memcmp(in, frames, frames_size) == 0, "the frames were written to");
+    drop(DRIVE_FRAMES, in, frames_size);
+    drop(DRIVE_INPUT, refusals, count);
+}
+
 static void test_encode(void)
 {
     static const int64_t ticks[] = {1, 7, 1000, 1000000, 1000000000};
@@ -825,6 +847,7 @@ static void test_encode(void)
                 }
             }
             now.shift = 0;
+            check_refuse(frames, count);
         }
     }
 }
@@ -852,6 +875,7 @@ static void test_refusals(void)
                   "a frame that cannot be carried is not refused");
             check(result.refusal == refusal, "a frame is refused for another reason");
             check(result.frame_count == index, "another frame is refused");
+            check_refuse(frames, FRAMES_MAX);
         }
     }
 }
@@ -1119,6 +1143,40 @@ static void test_encode_arguments(void)
           "another status");
 }
 
+static void test_refuse_arguments(void)
+{
+    const canser_protocol *const protocol = canser_protocol_at((size_t)now.protocol);
+    canser_frame frames[3];
+    uint8_t refusals[3];
+
+    memset(refusals, 0x5A, sizeof refusals);
+    for (size_t i = 0; i < 2; i++)
+        frames[i] = random_frame(now.protocol);
+
+    const struct {
+        const char *what;
+        int status;
+        const canser_protocol *protocol;
+        const canser_frame *frames;
+        size_t frame_count;
+        uint8_t *refusals;
+    } calls[] = {
+        {"refuse: protocol NULL", CANSER_NULL, NULL, frames, 2, refusals},
+        {"refuse: frames NULL", CANSER_NULL, protocol, NULL, 1, refusals},
+        {"refuse: refusals NULL", CANSER_NULL, protocol, frames, 2, NULL},
+        {"refuse: misaligned", CANSER_MISALIGNED, protocol, behind(frames, 1), 2, refusals},
+        {"refuse: refusals on frames", CANSER_OVERLAP, protocol, frames, 2, behind(frames, 47)},
+        {"refuse: no frames", CANSER_OK, protocol, NULL, 0, NULL},
+    };
+    for (size_t i = 0; i < sizeof calls / sizeof *calls; i++) {
+        now.part = calls[i].what;
+        check(canser_refuse(calls[i].protocol, calls[i].frames, calls[i].frame_count,
+                            calls[i].refusals) == calls[i].status,
+              "another status");
+        check(is_filled(refusals, refusals + sizeof refusals, 0x5A), "refusals was written");
+    }
+}
+
 /* The names and the numbers that the header promises. */
 /* Bytes that are all zero are no report and no packet. */
 static bool is_zero(const void *p, size_t size)
@@ -1360,6 +1418,10 @@ static void test_tables(void)
     for (int i = 0; i < CANSER_REFUSAL_COUNT; i++)
         check(canser_refusal_text(i), "a refusal has no text");
     check(!canser_refusal_text(-1) && !canser_refusal_text(CANSER_REFUSAL_COUNT),
+          "there is a refusal past the last");
+    for (int i = 0; i < CANSER_REFUSAL_COUNT; i++)
+        check(canser_refusal_name(i), "a refusal has no name");
+    check(!canser_refusal_name(-1) && !canser_refusal_name(CANSER_REFUSAL_COUNT),
           "there is a refusal past the last");
     for (int i = 0; i < CANSER_MODE_COUNT; i++)
         check(canser_mode_name(i), "a mode has no name");
@@ -1832,6 +1894,7 @@ static void test_arguments(void)
         test_chunk_arguments(&b);
         test_join_arguments(&b);
         test_encode_arguments();
+        test_refuse_arguments();
         test_adapter_arguments();
     }
     test_full_controls();
