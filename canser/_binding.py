@@ -135,6 +135,14 @@ MODE_NAMES: Final = tuple(
 )
 
 
+# What frames are called that a format cannot carry, by the numbers that `refuse` gives; the
+# first one stands for frames that it can.
+REFUSAL_NAMES: Final = tuple(
+    _text(lib.canser_refusal_name(refusal)) for refusal in range(lib.CANSER_REFUSAL_COUNT)
+)
+REFUSAL_TIME: Final = int(lib.CANSER_REFUSAL_TIME)
+
+
 def find_protocol(name: str) -> Protocol:
     """Return the protocol of a name or accepted spelling, in any case, or raise."""
     if not isinstance(name, str):
@@ -501,6 +509,16 @@ def encode_into(
             f"{len(frames) * protocol.frame_max} bytes are always enough"
         )
     return int(result.byte_count)
+
+
+def refuse(protocol: Protocol, frames: FrameArray) -> npt.NDArray[np.uint8]:
+    """Return for each frame why `encode_into` refuses it: a place in REFUSAL_NAMES, 0 if not."""
+    source = input_frames(frames)
+    refusals = np.empty(len(frames), np.uint8)
+    status = lib.canser_refuse(protocol.row, source, len(frames), output_bytes(refusals))
+    if status:
+        _raise_status(status)
+    return refusals
 
 
 def configure(protocol: Protocol, config: Config) -> bytes:

@@ -44,6 +44,7 @@ FLOORS = [
         "canser.tally",
     ],
     [
+        "canser._refusals",
         "canser.adapters",
         "canser.doubt",
         "canser.live.link",
