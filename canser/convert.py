@@ -1,10 +1,12 @@
 """From a file of frames or raw bytes to another: decode, encode, or change the format."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
+from canser._refusals import Refusals
 from canser.codec import TS_UNITS, encode_blocks, has_clock
+from canser.errors import FormatError
 from canser.files import RAW, FrameFile
 from canser.formats import BY_SUFFIX
 from canser.frames import NO_TIME, FrameArray, copy_records
@@ -31,16 +33,19 @@ def convert(
     *,
     protocol: str | None = None,
     ts_unit: str = "ms",
+    strict: bool = False,
 ) -> Converted:
     """Write all frames of `source` to `target` in one of the FORMATS.
 
     Raw bytes need the `protocol`. Where its clock cannot count up to the first
     frame's time, such as a date, times go out from the first frame on, and a remark
-    says so. Raises what reading, encoding and writing raise.
+    says so. Frames that the protocol cannot carry are left out, and a remark counts them;
+    with `strict` they are a ValueError. FormatError if it can carry none. Raises what reading,
+    encoding and writing raise.
     """
     if target_format == RAW:
         assert protocol is not None
-        return _encode(source, target, protocol, ts_unit)
+        return _encode(source, target, protocol, ts_unit, strict=strict)
     done = Converted()
     writer = BY_SUFFIX[f".{target_format}"].Writer(target)
     for frames in source:
@@ -50,23 +55,36 @@ def convert(
     return done
 
 
-def _encode(source: FrameFile, target: BinaryIO, protocol: str, ts_unit: str) -> Converted:
+def _encode(
+    source: FrameFile, target: BinaryIO, protocol: str, ts_unit: str, *, strict: bool
+) -> Converted:
     done = Converted()
     clocked = has_clock(protocol)
+    refusals = Refusals(protocol)
+    blocks = source if strict else filter(len, map(refusals.keep, source))
     for raw in encode_blocks(
-        _counted(source, done, ts_unit if clocked else None), protocol, ts_unit=ts_unit
+        _counted(blocks, done, ts_unit if clocked else None), protocol, ts_unit=ts_unit
     ):
         target.write(raw.data)
         done.bytes_out += len(raw)
+    if refusals.left_out and not done.frames:
+        raise FormatError(
+            f"{source.name}: {protocol} can carry none of the {refusals.frames:,} frames: "
+            f"{refusals.reasons}; convert to another protocol"
+        )
+    if refusals.left_out:
+        done.remarks.append(str(refusals))
     if not clocked and done.frames:
         done.remarks.append(f"{protocol} carries no times")
     return done
 
 
-def _counted(source: FrameFile, done: Converted, ts_unit: str | None) -> Iterator[FrameArray]:
+def _counted(
+    blocks: Iterable[FrameArray], done: Converted, ts_unit: str | None
+) -> Iterator[FrameArray]:
     """Yield the frames, counted, in times that the clock can count if there is one."""
     start = 0
-    for frames in source:
+    for frames in blocks:
         if ts_unit is not None and not done.frames:
             first = int(frames["ts"][0])
             if first != NO_TIME and not 0 <= first // TS_UNITS[ts_unit] < _TURN:

@@ -378,12 +378,25 @@ def test_a_file_on_the_standard_input_is_not_written(tmp_path: Path) -> None:
     assert path.read_bytes() == before
 
 
-def test_a_frame_that_cannot_be_encoded_is_named(tmp_path: Path) -> None:
+def test_strict_names_a_frame_that_cannot_be_encoded(tmp_path: Path) -> None:
     np.save(tmp_path / "x.npy", vehicle(1))
-    done = run(tmp_path, "convert", "x.npy", "x.bin", "-p", "cantalope")
+    done = run(tmp_path, "convert", "x.npy", "x.bin", "-p", "cantalope", "--strict")
     first = int(np.flatnonzero(vehicle(1)["ext"])[0])
     assert_fails(done, BAD_DATA, f"{first}", "extended")
     assert names(tmp_path) == ["x.npy"]
+
+
+def test_frames_that_cannot_be_encoded_are_left_out_and_counted(tmp_path: Path) -> None:
+    frames = vehicle(1)
+    np.save(tmp_path / "x.npy", frames)
+    done = run(tmp_path, "convert", "x.npy", "x.bin", "-p", "cantalope")
+    standard = frames[~frames["ext"]]
+    extended = f"{len(frames) - len(standard):,}"
+    assert done.returncode == GOOD
+    said = done.stderr.decode().splitlines()
+    assert said[0] == f"x.npy -> x.bin: {len(standard):,} frames"
+    assert f"{extended} frames left out: extended ids {extended}" in said
+    assert (tmp_path / "x.bin").read_bytes() == canser.encode(standard.copy(), "cantalope")
 
 
 @pytest.mark.parametrize("arguments", [["info"], ["dump", "-p", "seeed"]], ids=" ".join)

@@ -38,11 +38,13 @@ def decoded(
         return target, convert(source, file, to)
 
 
-def encoded(path: Path, protocol: str, *, ts_unit: str = "ms") -> tuple[bytes, Converted]:
+def encoded(
+    path: Path, protocol: str, *, ts_unit: str = "ms", strict: bool = False
+) -> tuple[bytes, Converted]:
     """Convert a file of frames into raw bytes."""
     out = io.BytesIO()
     with FrameFile(str(path), format_of(str(path))) as source:
-        done = convert(source, out, RAW, protocol=protocol, ts_unit=ts_unit)
+        done = convert(source, out, RAW, protocol=protocol, ts_unit=ts_unit, strict=strict)
     return out.getvalue(), done
 
 
@@ -165,7 +167,7 @@ def test_the_first_times_that_the_clock_cannot_count_are_moved(tmp_path: Path, f
 
 
 @pytest.mark.parametrize("first", [0, EPOCH])
-def test_a_frame_that_cannot_be_encoded_has_its_index_in_the_file(
+def test_strict_names_a_frame_that_cannot_be_encoded_by_its_index_in_the_file(
     tmp_path: Path, first: int
 ) -> None:
     # In the second block, whose own index of it is 34,464.
@@ -173,7 +175,7 @@ def test_a_frame_that_cannot_be_encoded_has_its_index_in_the_file(
     frames["ts"][100_000] = NO_TIME
     path = saved(tmp_path / "x.npy", frames)
     with pytest.raises(ValueError, match=r"\b100000\b"):
-        encoded(path, "serial")
+        encoded(path, "serial", strict=True)
 
 
 @pytest.mark.parametrize(
@@ -185,12 +187,44 @@ def test_a_frame_that_cannot_be_encoded_has_its_index_in_the_file(
         (Frame(0x1), "serial"),
     ],
 )
-def test_what_a_protocol_cannot_carry_is_refused(
+def test_strict_refuses_what_a_protocol_cannot_carry(
     tmp_path: Path, frame: Frame, protocol: str
 ) -> None:
     path = saved(tmp_path / "x.npy", array(Frame(0x1, ts=0), frame))
     with pytest.raises(ValueError, match=r"\b1\b"):
-        encoded(path, protocol)
+        encoded(path, protocol, strict=True)
+
+
+def test_what_a_protocol_cannot_carry_is_left_out_and_counted(tmp_path: Path) -> None:
+    good = timed(0, 1, 2, 3)
+    error, extended = Frame(0x1, err=True, ts=0), Frame(0x800, ext=True, ts=0)
+    # Of the first block, which has 65,536 frames, none can be carried.
+    first = array(error).repeat(70_000)
+    path = saved(tmp_path / "x.npy", first, good[:1], array(error, extended), good[1:])
+    raw, done = encoded(path, "cantalope")
+    assert raw == canser.encode(good, "cantalope")
+    assert (done.frames, done.bytes_out) == (4, len(raw))
+    assert done.remarks == [
+        "70,002 frames left out: error frames 70,001, extended ids 1",
+        "cantalope carries no times",
+    ]
+
+
+@pytest.mark.parametrize("first", [0, EPOCH])
+def test_frames_without_a_time_are_left_out_where_the_protocol_has_one(
+    tmp_path: Path, first: int
+) -> None:
+    good = timed(first, first + SECOND)
+    path = saved(tmp_path / "x.npy", timed(NO_TIME), good[:1], timed(NO_TIME), good[1:])
+    raw, done = encoded(path, "serial")
+    assert raw == canser.encode(timed(0, SECOND), "serial")
+    assert done.remarks[-1] == "2 frames left out: unknown times 2"
+
+
+def test_a_file_of_which_nothing_can_be_carried_is_an_error(tmp_path: Path) -> None:
+    path = saved(tmp_path / "x.npy", array(Frame(0x1), Frame(0x2)))
+    with pytest.raises(FormatError, match=r"x\.npy: serial can carry none of the 2 frames"):
+        encoded(path, "serial")
 
 
 @pytest.mark.parametrize(

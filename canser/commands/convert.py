@@ -47,6 +47,12 @@ def add(commands: Commands) -> None:
         "output log, or raw where IN holds frames)",
     )
     parser.add_argument("--force", action="store_true", help="replace OUT if it is there")
+    parser.add_argument(
+        "--strict",
+        action="store_true",
+        help="refuse a file with frames that OUT's protocol cannot carry (default: leave these "
+        "frames out, and count them)",
+    )
 
 
 def _target_format(args: argparse.Namespace) -> str:
@@ -85,6 +91,7 @@ def run(args: argparse.Namespace) -> int:
             *(source, target, target_format),
             protocol=args.protocol,
             ts_unit=args.ts_unit or "ms",
+            strict=args.strict,
         )
         stats = None if source.decoder is None else source.decoder.stats
         check_found(source, as_is=args.as_is)
