@@ -105,17 +105,21 @@ def whole_file(path: str, *, force: bool) -> Iterator[BinaryIO]:
 
 
 def check_apart(target: str, *others: str) -> None:
-    """Raise OutputExistsError if a file to write is one of those to read, by a link too.
+    """Raise OutputExistsError if a file to write is one of the others, by a link too.
 
     "-" is the standard output as a target, and the standard input as one of the others.
     """
     written = _status(target, sys.stdout)
     for other in others:
         read = _status(other, sys.stdin)
-        if written is None or read is None or not stat.S_ISREG(written.st_mode):
-            continue
-        if os.path.samestat(written, read):
-            raise OutputExistsError(f"{target} and {other} are one file; give OUT another name")
+        if written is None or read is None:  # names of files that are to be made
+            same = target != "-" and os.path.realpath(target) == os.path.realpath(other)
+        else:
+            same = stat.S_ISREG(written.st_mode) and os.path.samestat(written, read)
+        if same:
+            raise OutputExistsError(
+                f"{target} and {other} are one file; give one of them another name"
+            )
 
 
 def _status(path: str, stream: TextIO | None) -> os.stat_result | None:

@@ -112,9 +112,15 @@ class Blocks(Iterator[FrameArray]):
         progress: Callable[[int, int | None], None] | None,
         as_is: bool,
         warns: bool,
+        raw_only: bool = False,
     ) -> None:
+        """Open a capture, as `blocks` does.
+
+        `warns`: CanserWarnings tell of the bytes, else `found` and `doubt` do. `raw_only`:
+        `protocol` and `ts_unit` are those of raw bytes, and a recording has its own.
+        """
         self._protocol, self._ts_unit, self._threads = protocol, ts_unit, threads
-        self._as_is, self._warns = as_is, warns
+        self._as_is, self._warns, self._raw_only = as_is, warns, raw_only
         self._found = ""
         self._ended_doubt: str | None = None  # None before the end
         self._out, self._offsets, self._progress = out, offsets, progress
@@ -180,6 +186,15 @@ class Blocks(Iterator[FrameArray]):
         """What a caller should know of a recording so far: what is damaged, what is lost."""
         return [] if self._recorded is None else self._recorded.remarks
 
+    def sample(self) -> memoryview:
+        """Return bytes of the file: all that can be mapped, of a pipe the first 64 KiB.
+
+        They are waited for, or for the end of the pipe. Before the first block only.
+        """
+        if self._input.size is None:
+            self._input.at(0, _input.HEAD_LEN)
+        return self._input.sample()
+
     @property
     def doubt(self) -> str:
         """Why the bytes so far are not of the protocol they are read in; "" if they may be."""
@@ -197,8 +212,8 @@ class Blocks(Iterator[FrameArray]):
             if starts_recording(self._input):
                 self._recorded = _open_recording(
                     self._input,
-                    self._protocol,
-                    self._ts_unit,
+                    None if self._raw_only else self._protocol,
+                    None if self._raw_only else self._ts_unit,
                     live=self._input.size is None,
                     as_is=self._as_is,
                 )

@@ -36,8 +36,8 @@ class FrameFile(Iterator[FrameArray]):
     `file_format`: one of FORMATS. Raw bytes need their `protocol`, else NoProtocolError; a
     recording among them knows it. Both keep their decoder in `.decoder`, for the stats and
     the control packets, and a recording what it tells in `.recording` and `.remarks`.
-    `protocol`, `as_is`: as for `canser.blocks`; `.doubt` tells why the bytes so far are not of
-    the protocol they are read in, "" if they may be.
+    `protocol`, `as_is`: as for `canser.blocks`, and `raw_only` as for `Blocks`; `.doubt` tells
+    why the bytes so far are not of the protocol they are read in, "" if they may be.
     `progress` is called with the bytes done and in all. A context manager.
     """
 
@@ -49,6 +49,7 @@ class FrameFile(Iterator[FrameArray]):
         protocol: str | None = None,
         ts_unit: str | None = None,
         as_is: bool = False,
+        raw_only: bool = False,
         progress: Callable[[int, int | None], None] | None = None,
     ) -> None:
         self.name = "standard input" if path == "-" else path
@@ -70,6 +71,7 @@ class FrameFile(Iterator[FrameArray]):
                     progress=progress,
                     as_is=as_is,
                     warns=False,
+                    raw_only=raw_only,
                 )
                 self.decoder, self.recording, self._blocks = raw.decoder, raw.recording, raw
             else:
@@ -92,6 +94,11 @@ class FrameFile(Iterator[FrameArray]):
             return []
         found = [self._blocks.found] if self._blocks.found else []
         return [*found, *self._blocks.remarks]
+
+    def sample(self) -> memoryview:
+        """Return some of the raw bytes of the file, as `Blocks.sample` does."""
+        assert isinstance(self._blocks, Blocks)
+        return self._blocks.sample()
 
     @property
     def doubt(self) -> str:

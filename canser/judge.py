@@ -18,6 +18,7 @@ __all__ = [
     "check_protocol",
     "choose_protocol",
     "describe_doubt",
+    "describe_fit",
     "is_auto",
 ]
 
@@ -29,6 +30,8 @@ _AUTO_SCORE: Final = 0.9
 # Of a pipe so many bytes are waited for to find the protocol that fits, or its end: 1.4 seconds of
 # the slowest adapter's line.
 _AUTO_LEN: Final = 1 << 14
+
+_NOTHING: Final = "no protocol that canser knows"
 
 
 class NoProtocolError(ValueError):
@@ -42,7 +45,7 @@ class NoProtocolError(ValueError):
         self.choices = protocols()
         self.looks = f"{name}: there are no bytes to tell a protocol by"
         if fit is not None:
-            self.looks = f"{name}: these bytes look like {_look(fit)}"
+            self.looks = f"{name}: these bytes look like {describe_fit(fit)}"
             if fit.fits:
                 self.choices = (fit.protocol, AUTO) if _is_plain(fit) else (fit.protocol,)
         choices = " or ".join(map(repr, self.choices))
@@ -94,7 +97,7 @@ def choose_protocol(protocol: str | None, source: Input, *, as_is: bool) -> tupl
     fit = identify(sample)[0] if len(sample) else None
     if fit is None or not is_auto(protocol) or not _is_plain(fit):
         raise NoProtocolError(source.name, fit)
-    return fit.protocol, f"read as {_look(fit)}"
+    return fit.protocol, f"read as {describe_fit(fit)}"
 
 
 def describe_doubt(name: str, decoder: Decoder, sample: BytesLike) -> str:
@@ -106,7 +109,7 @@ def describe_doubt(name: str, decoder: Decoder, sample: BytesLike) -> str:
     if not is_doubtful(decoder.protocol, bytes_in, skipped):
         return ""
     fit = identify(sample)[0]
-    look = _look(fit) if fit.protocol != decoder.protocol else "no protocol that canser knows"
+    look = describe_fit(fit) if fit.protocol != decoder.protocol else _NOTHING
     return (
         f"{name}: {skipped / bytes_in:.0%} of the {bytes_in:,} bytes are in no "
         f"{decoder.protocol} packet; they look like {look}"
@@ -117,8 +120,8 @@ def _is_plain(fit: Fit) -> bool:
     return fit.fits and fit.score >= _AUTO_SCORE
 
 
-def _look(fit: Fit) -> str:
+def describe_fit(fit: Fit) -> str:
     """Say what bytes look like of which this is the best fit."""
     if fit.fits:
         return f"{fit.protocol} ({fit.score:.0%})"
-    return "no protocol that canser knows"
+    return _NOTHING

@@ -307,9 +307,9 @@ ERRORS = {
         ["same.pcapng and run.pcapng are one file"],
     ),
     "protocol in capitals": (
-        ["dump", "text.txt", "-p", "SEEED"],
+        ["convert", "serial.bin", "x.log", "-p", "SEEED"],
         BAD_DATA,
-        ["no seeed frame"],
+        ["in no seeed packet"],
     ),
     "raw bytes as a log": (
         ["info", "seeed.bin", "--from", "log"],

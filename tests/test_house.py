@@ -90,6 +90,7 @@ FLOORS = [
     [
         "canser.commands._port",
         "canser.commands._screen",
+        "canser.commands._traffic",
         "canser.monitoring._table",
         "canser.python_can._messages",
     ],

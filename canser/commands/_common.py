@@ -1,8 +1,9 @@
 """What the commands share: exit codes, errors, messages, and how the input is named."""
 
 import argparse
+import contextlib
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NoReturn
 
 from canser._output import standard_output
@@ -23,8 +24,8 @@ __all__ = [
     "add_command",
     "as_is_argument",
     "check_found",
-    "open_frames",
     "open_source",
+    "options_named",
     "protocol_name",
     "say",
     "say_remarks",
@@ -132,35 +133,22 @@ def protocol_name(name: str) -> str:
 
 def open_source(args: argparse.Namespace, progress: Progress | None = None) -> FrameFile:
     """Open IN as the arguments say."""
-    return open_frames(
-        args.source,
-        args.source_format,
-        protocol=args.protocol,
-        ts_unit=args.ts_unit,
-        as_is=args.as_is,
-        progress=progress,
-    )
-
-
-def open_frames(
-    path: str,
-    file_format: str | None,
-    *,
-    protocol: str | None,
-    ts_unit: str | None,
-    as_is: bool,
-    progress: Progress | None = None,
-) -> FrameFile:
-    """Open a file of frames, a recording or raw bytes; errors name the options that help."""
-    try:
+    with options_named():
         return FrameFile(
-            path,
-            format_of(path, file_format),
-            protocol=protocol,
-            ts_unit=ts_unit,
-            as_is=as_is,
+            args.source,
+            format_of(args.source, args.source_format),
+            protocol=args.protocol,
+            ts_unit=args.ts_unit,
+            as_is=args.as_is,
             progress=progress,
         )
+
+
+@contextlib.contextmanager
+def options_named() -> Iterator[None]:
+    """Let errors of opening a file name the options that help."""
+    try:
+        yield
     except NoProtocolError as error:
         raise ProtocolNeededError(
             f"{error.looks}; give -p {' or -p '.join(error.choices)}"

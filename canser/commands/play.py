@@ -4,19 +4,20 @@ import argparse
 from collections.abc import Iterator
 
 from canser._signals import Stop, stop_on_signals
-from canser.captures import NoProtocolError
 from canser.commands._common import (
     GOOD,
     CallError,
     Commands,
     DataError,
     add_command,
+    as_is_argument,
     say,
     say_remarks,
 )
 from canser.commands._numbers import real
 from canser.commands._port import open_port, port_arguments
-from canser.files import FORMATS, FrameFile, format_of
+from canser.commands._traffic import TrafficFile
+from canser.files import FORMATS, FrameFile
 from canser.frames import FrameArray
 from canser.live.player import Played, play
 from canser.live.ports import Port
@@ -63,6 +64,7 @@ def add(commands: Commands) -> None:
         type=real(most=_GAP_MOST_MS),
         help="milliseconds between two frames, instead of their recorded times",
     )
+    as_is_argument(parser)
     parser.add_argument("--loop", action="store_true", help="over and over, until interrupted")
 
 
@@ -100,19 +102,13 @@ def _rounds(
 
 def _open(args: argparse.Namespace) -> FrameFile:
     """Open IN; raw bytes are of the port's protocol, and a recording knows its own."""
-    source_format = format_of(args.source, args.source_format)
-    if args.source != "-":
-        try:
-            return FrameFile(args.source, source_format, ts_unit=None)
-        except NoProtocolError:
-            pass
-    file = FrameFile(args.source, source_format, protocol=args.protocol, ts_unit=args.ts_unit)
-    if file.recording is not None and file.recording.protocol != args.protocol:
-        file.__exit__()
-        raise CallError(
-            f"{file.name} is a recording in {file.recording.protocol}; name it as a file"
-        )
-    return file
+    return TrafficFile(
+        args.source,
+        args.source_format,
+        protocol=args.protocol,
+        ts_unit=args.ts_unit,
+        as_is=args.as_is,
+    )
 
 
 class _Sender:

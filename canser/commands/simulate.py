@@ -5,11 +5,12 @@ import contextlib
 import dataclasses
 import json
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from canser._output import whole_file
+from canser._output import check_apart, whole_file
 from canser._signals import Stop, stop_on_signals
 from canser.codec import TS_UNITS, encode, protocols
 from canser.commands._common import (
@@ -19,12 +20,13 @@ from canser.commands._common import (
     Commands,
     DataError,
     add_command,
+    as_is_argument,
     protocol_name,
     say,
     show,
 )
 from canser.commands._numbers import real, whole
-from canser.files import FrameFile, format_of
+from canser.commands._traffic import TrafficFile
 from canser.frames import FRAME_DTYPE, FrameArray
 from canser.simulation.simulator import PACES, Simulator, SimulatorReport
 from canser.simulation.traffic import vehicle
@@ -66,6 +68,7 @@ def add(commands: Commands) -> None:
         help="the frames to send: a .log, .csv or .npy file, or raw bytes of the protocol "
         "(default: a vehicle's traffic, for ever)",
     )
+    as_is_argument(parser)
     parser.add_argument(
         "--seconds",
         type=real(),
@@ -133,6 +136,11 @@ def add(commands: Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    others = [] if args.traffic is None else [args.traffic]
+    for written in (args.copy, args.report):
+        if written is not None:
+            check_apart(written, *others)
+            others.append(written)
     with contextlib.ExitStack() as files:
         copy: BinaryIO | None = None
         if args.copy is not None:
@@ -233,10 +241,16 @@ def _made(seconds: float, *, extended: bool) -> Iterator[FrameArray]:
 
 
 class _File:
-    """The frames of a file, as often as they are asked for; its first ones are read at once."""
+    """The frames of a file, as often as they are asked for.
+
+    A file is read to its end first, and so judged as a whole; of a pipe the first frames are.
+    """
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._args = args
+        if Path(args.traffic).is_file():
+            for _ in self._open():
+                pass
         self._opened: Iterator[FrameArray] | None = self._open()
         self._first = next(self._opened, None)
         if self._first is None:
@@ -251,8 +265,8 @@ class _File:
 
     def _open(self) -> Iterator[FrameArray]:
         args = self._args
-        with FrameFile(
-            args.traffic, format_of(args.traffic), protocol=args.protocol, ts_unit=args.ts_unit
+        with TrafficFile(
+            args.traffic, None, protocol=args.protocol, ts_unit=args.ts_unit, as_is=args.as_is
         ) as file:
             yield from file
 
