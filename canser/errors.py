@@ -46,11 +46,11 @@ class PortClosedError(PortError):
 
 
 class SendError(PortError):
-    """Not all could be sent; `sent` frames went out whole before it."""
+    """Not all could be sent; `sent` frames went out whole before it, and `reason` says why."""
 
-    def __init__(self, message: str, sent: int) -> None:
+    def __init__(self, message: str, sent: int, reason: str = "") -> None:
         super().__init__(message)
-        self.sent = sent
+        self.sent, self.reason = sent, reason
 
 
 class SendTimeoutError(SendError):

@@ -5,6 +5,7 @@ import contextlib
 import gc
 import select
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -737,10 +738,33 @@ def test_drain_sends_the_rest_of_a_frame() -> None:
     with plugged() as (device, port):
         with pytest.raises(canser.SendError) as caught:
             port.send(frames, timeout=0.05)
+        assert caught.value.reason == "the line took no more within the time-out"
+        assert 0 < port.bytes_unsent < 20  # a pseudo terminal does not tell what it holds
         drainer = Background(lambda: port.drain(timeout=PATIENCE))
         raw = canser.encode(frames[: caught.value.sent], "seeed")
         assert device.read(len(raw)) == raw
         assert drainer.join().result is True
+        assert port.bytes_unsent == 0
+
+
+def test_bytes_that_a_connection_holds_are_not_sent() -> None:
+    frames = traffic(5)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        with canser.open(url, "seeed") as port:
+            many = frames.repeat(200)  # more than the buffers of both sides take
+            with pytest.raises(canser.SendError):
+                port.send(many, timeout=0.5)
+            assert port.bytes_unsent > 1000
+            client, _ = server.accept()
+            with client:
+                drainer = Background(lambda: port.drain(timeout=PATIENCE))
+                client.settimeout(0.05)
+                while drainer.running:
+                    with contextlib.suppress(TimeoutError):
+                        client.recv(1 << 20)
+                assert drainer.join().result is True
+                assert port.bytes_unsent == 0
 
 
 def test_packets_of_two_threads_do_not_mix() -> None:

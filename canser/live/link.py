@@ -30,6 +30,7 @@ _WINDOW: Final = 0.1
 _RETRY: Final = (0.05, 1.0)
 
 NO_MORE: Final = "the line took no more within the time-out"
+GONE: Final = "the device is gone"
 
 # A writer holds the line for so many seconds at a time, so that it can be closed.
 _HOLD: Final = 0.05
@@ -100,11 +101,11 @@ class Link:
         return written, why
 
     def unwritten(self) -> int:
-        """Return how many written bytes the system still holds; PortGoneError without a line."""
+        """Return how many written bytes have not gone out; PortGoneError without a line."""
         with self._line_lock:
             if self._line is None:
                 raise PortGoneError(self._why_no_line())
-            return self._line.unwritten()
+            return len(self._rest) + self._line.unwritten()
 
     def close(self) -> None:
         """End the thread, close the line, and release the ring.
@@ -142,6 +143,8 @@ class Link:
                 return 0, self._why_no_line()
             try:
                 count = self._line.write(data, max(left, 0))
+            except PortGoneError:
+                return 0, GONE
             except (CanserError, OSError) as error:
                 return 0, str(error)
         if not count and left < _HOLD:
@@ -149,7 +152,7 @@ class Link:
         return count, ""
 
     def _why_no_line(self) -> str:
-        return "the port is closed" if self._closing.is_set() else "the device is gone"
+        return "the port is closed" if self._closing.is_set() else GONE
 
     def _run(self) -> None:
         try:

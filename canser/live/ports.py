@@ -387,7 +387,7 @@ class Port:
             return len(frames)
         whole = int(np.searchsorted(self._ends(raw), written, side="right"))
         kind = SendTimeoutError if why == NO_MORE else SendError
-        raise kind(f"{self.url}: {why}; {whole} of {len(frames)} frames were sent", whole)
+        raise kind(f"{self.url}: {why}; {whole} of {len(frames)} frames were sent", whole, why)
 
     def send_raw(self, data: BytesLike, *, timeout: float | None = None) -> None:
         """Send bytes as they are, such as a command that canser does not know.
@@ -399,7 +399,7 @@ class Port:
         written, why = self._link.write(raw, timeout, lambda _: 0)
         if why:
             kind = SendTimeoutError if why == NO_MORE else SendError
-            raise kind(f"{self.url}: {why}; {written} of {len(raw)} bytes were sent", 0)
+            raise kind(f"{self.url}: {why}; {written} of {len(raw)} bytes were sent", 0, why)
 
     def drain(self, *, timeout: float | None = None) -> bool:
         """Wait until the line has sent all that was written; False after `timeout` seconds.
@@ -421,6 +421,16 @@ class Port:
                 return False
             # As long as the line needs for it, but for not longer than one notices.
             time.sleep(min(max(held * _BITS / self.baudrate, 0.0005), 0.02))
+
+    @property
+    def bytes_unsent(self) -> int:
+        """Bytes that were written and that the system holds, as far as it tells.
+
+        A pseudo terminal and `rfc2217://` tell nothing, and so this is 0 there. PortGoneError
+        when the device is gone.
+        """
+        self._check_open()
+        return self._link.unwritten()
 
     # The adapter's own commands
 
