@@ -1,15 +1,22 @@
 """`canser send`, `play` and `ports` as their users run them."""
 
+import contextlib
+import re
 import signal
+import socket
+import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import pytest
 from serial.tools.list_ports_common import ListPortInfo
 
 import canser
+import canser.commands._sending
 from canser.cli import main
 from canser.formats.candump import Writer, frames_of
 from canser.recordings.recording import RecordingInfo, RecordingWriter
@@ -170,7 +177,14 @@ def test_play_with_a_gap(tmp_path: Path, device: "Device") -> None:
 @pytest.mark.usefixtures("device")
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("", "holds no frame"), ("(0.0) can0 123#01\n(0.1) can0 20000080#00\n", "the frames before")],
+    [
+        ("", "run.log holds no frame"),
+        (
+            "(0.0) can0 20000080#00\n(0.1) can0 20000080#00\n",
+            "run.log: seeed can carry none of the 2 frames: error frames 2",
+        ),
+        ("(0.0) can0 123#01\n(0.1) can0\n", "run.log, line 2"),
+    ],
 )
 def test_files_that_cannot_be_played(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "run.log").write_text(text)
@@ -180,14 +194,205 @@ def test_files_that_cannot_be_played(tmp_path: Path, text: str, words: str) -> N
     assert words in run.err[0]
 
 
-def test_unplugged_while_playing(tmp_path: Path, device: "Device") -> None:
-    write_log(tmp_path / "run.log", vehicle(60))
+MIXED = "(0.0) can0 123#01\n(0.1) can0 20000080#00\n(0.2) can0 124#02\n"
+
+
+def test_play_leaves_out_what_the_protocol_cannot_carry(tmp_path: Path, device: "Device") -> None:
+    (tmp_path / "run.log").write_text(MIXED)
+    wanted = canser.encode(frames_of(["123#01", "124#02"]), "seeed")
     with running(tmp_path, *call("play", "run.log")) as run:
-        device.read(100)
+        assert device.read(len(wanted)) == wanted
+        assert run.end() == GOOD
+    assert run.err[:2] == [
+        "run.log: 1 frame left out: error frames 1; seeed cannot carry them",
+        "2 frames sent to dev",
+    ]
+    assert len(run.err) == 3
+
+
+def test_play_tells_of_a_file_before_the_port_is_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "run.log").write_text(MIXED)
+    monkeypatch.chdir(tmp_path)
+    assert main(call("play", "run.log", "-c", "/dev/nothing")) == BAD_CALL
+    told = capfd.readouterr().err.splitlines()
+    assert told[0] == "run.log: 1 frame left out: error frames 1; seeed cannot carry them"
+    assert "no port /dev/nothing" in told[1]
+
+
+def test_play_strictly_refuses_a_file_before_the_port_is_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "run.log").write_text(MIXED)
+    monkeypatch.chdir(tmp_path)
+    code, line = fails(capfd, *call("play", "run.log", "-c", "/dev/nothing", "--strict"))
+    assert code == BAD_DATA
+    assert "run.log: seeed cannot carry 1 of 3 frames: error frames 1; " in line
+
+
+@pytest.mark.parametrize("strict", [False, True])
+def test_play_looks_at_a_pipe_block_by_block(
+    tmp_path: Path, device: "Device", strict: bool
+) -> None:
+    # More than one block of lines, with an error frame behind the first block.
+    log = "(0.0) can0 123#01\n" * 20_000 + "(0.0) can0 20000080#00\n" + "(0.0) can0 124#02\n"
+    options = ["--strict"] if strict else []
+    arguments = call("play", "-", "--from", "log", *options)
+    with running(tmp_path, *arguments, stdin=subprocess.PIPE) as run:
+        assert run.process.stdin is not None
+        feeder = threading.Thread(target=feed, args=(run.process.stdin, log.encode()))
+        feeder.start()
+        if not strict:
+            wanted = canser.encode(frames_of(["123#01"] * 20_000 + ["124#02"]), "seeed")
+            assert device.read(len(wanted)) == wanted
+            assert run.end() == GOOD
+            assert run.err[:2] == [
+                "standard input: 1 frame left out: error frames 1; seeed cannot carry them",
+                "20,001 frames sent to dev",
+            ]
+        else:
+            one = canser.encode(frames_of(["123#01"]), "seeed")
+            heard = b""
+            while run.process.poll() is None or device.hears():
+                heard += device.read_some() if device.hears(0.05) else b""
+            assert run.end() == BAD_DATA
+            count = len(heard) // len(one)
+            assert heard == one * count
+            assert 0 < count < 20_000
+            assert f"{count:,} frames sent to dev" in run.err
+            assert "standard input: seeed cannot carry 1 of 20,002 frames" in run.err[-1]
+        feeder.join()
+
+
+def feed(pipe: IO[bytes], data: bytes) -> None:
+    with contextlib.suppress(BrokenPipeError), pipe:
+        pipe.write(data)
+
+
+def test_a_pipe_that_turns_bad_is_sent_up_to_there(tmp_path: Path, device: "Device") -> None:
+    log = "(0.0) can0 123#01\n" * 20_000 + "nothing\n"
+    with running(tmp_path, *call("play", "-", "--from", "log"), stdin=subprocess.PIPE) as run:
+        assert run.process.stdin is not None
+        feeder = threading.Thread(target=feed, args=(run.process.stdin, log.encode()))
+        feeder.start()
+        one = canser.encode(frames_of(["123#01"]), "seeed")
+        sent = 16_384  # the frames of a block
+        assert device.read(len(one) * sent) == one * sent
+        assert run.end() == BAD_DATA
+        feeder.join()
+    assert run.err[0] == f"{sent:,} frames sent to dev"
+    assert "standard input, line 20001" in run.err[-1]
+
+
+def test_remarks_are_not_repeated_each_round(tmp_path: Path, device: "Device") -> None:
+    frames = frames_of(["123#01", "124#02"])
+    raw = canser.encode(frames, "seeed")
+    info = RecordingInfo("seeed", 115_200, None, "ms", "/dev/other")
+    with RecordingWriter(tmp_path / "run.pcapng", info) as recording:
+        recording.write(raw, 1_700_000_000_000_000_000)
+    whole = (tmp_path / "run.pcapng").read_bytes()
+    (tmp_path / "run.pcapng").write_bytes(whole[:-4])  # torn, as after a crash
+    with running(tmp_path, *call("play", "run.pcapng", "--loop")) as run:
+        assert device.read(len(raw) * 5) == raw * 5
+        run.end(signal.SIGINT)
+    remarks = [line for line in run.err if line.startswith("run.pcapng: ")]
+    assert len(remarks) == len(set(remarks)) == 1
+
+
+# Lines that do not send what they took
+
+
+def sure(line: str) -> int:
+    """Return how many frames were sent for sure, by the message of a command."""
+    found = re.search(r"frames sent for sure: ([0-9,]+), taken", line)
+    assert found, line
+    return int(found[1].replace(",", ""))
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(canser.commands._sending, "_PATIENCE_S", 0.3)
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize("name", ["play", "send"])
+def test_a_terminal_that_is_not_read(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    device: "Device",
+    name: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    frames = frames_of(["123#0102030405060708"] * 4000)
+    (tmp_path / "run.bin").write_bytes(canser.encode(frames, "seeed"))
+    what = ["run.bin"] if name == "play" else ["123#0102030405060708"] * 4000
+    code, line = fails(capfd, *call(name, *what))
+    assert code == BAD_DATA
+    assert line.startswith("canser: dev took nothing for 0.3 s; frames sent for sure: ")
+    heard = b""
+    while device.hears():
+        heard += device.read_some()
+    # A part of one more frame may have gone into the terminal.
+    assert 0 < sure(line) == len(canser.decode(heard, "seeed")) < 4000
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize("name", ["play", "send"])
+def test_a_server_that_does_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], name: str
+) -> None:
+    """The system takes all of it, and holds what the server has no room for."""
+    monkeypatch.chdir(tmp_path)
+    count = 20_000
+    one = "123#0102030405060708"
+    (tmp_path / "run.bin").write_bytes(canser.encode(frames_of([one] * count), "seeed"))
+    with socket.socket() as server:
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        server.bind(("127.0.0.1", 0))
+        server.listen()
+        url = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        what = ["run.bin"] if name == "play" else [one] * count
+        code, line = fails(capfd, *call(name, *what, "-c", url))
+        assert code == BAD_DATA
+        assert line.startswith(f"canser: {url} sent nothing for 0.3 s; frames sent for sure: ")
+        assert 0 < sure(line) < count
+        waiting = int(line.rpartition(": ")[2].replace(",", ""))
+        assert sure(line) + waiting == count
+        client, _ = server.accept()
+        with client:
+            heard = b"".join(iter(lambda: client.recv(1 << 16), b""))
+        assert len(canser.decode(heard, "seeed")) >= sure(line)
+
+
+def test_unplugged_while_playing(tmp_path: Path, device: "Device") -> None:
+    frames = vehicle(60)
+    write_log(tmp_path / "run.log", frames)
+    with running(tmp_path, *call("play", "run.log")) as run:
+        heard = device.read(100)
         device.unplug()
         assert run.end() == BAD_DATA
     assert len(run.err) == 1
     assert "gone" in run.err[0]
+    assert len(canser.decode(heard, "seeed")) <= sure(run.err[0]) < len(frames)
+
+
+def test_a_server_that_resets_while_playing(tmp_path: Path) -> None:
+    frames = vehicle(60)
+    write_log(tmp_path / "run.log", frames)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        with running(tmp_path, *call("play", "run.log", "-c", url)) as run:
+            client, _ = server.accept()
+            client.recv(100)
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+            client.close()
+            assert run.end() == BAD_DATA
+    assert len(run.err) == 1
+    assert run.err[0].startswith(f"canser: {url}")
+    assert "gone" in run.err[0]
+    assert sure(run.err[0]) < len(frames)
 
 
 def test_ports_are_a_table(

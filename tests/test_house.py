@@ -91,6 +91,7 @@ FLOORS = [
         "canser.commands._port",
         "canser.commands._screen",
         "canser.commands._traffic",
+        "canser.commands._sending",
         "canser.monitoring._table",
         "canser.python_can._messages",
     ],

@@ -2,7 +2,9 @@
 
 import argparse
 from collections.abc import Iterator
+from pathlib import Path
 
+from canser._refusals import Refusals
 from canser._signals import Stop, stop_on_signals
 from canser.commands._common import (
     GOOD,
@@ -12,20 +14,17 @@ from canser.commands._common import (
     add_command,
     as_is_argument,
     say,
-    say_remarks,
 )
 from canser.commands._numbers import real
 from canser.commands._port import open_port, port_arguments
+from canser.commands._sending import Sender
 from canser.commands._traffic import TrafficFile
+from canser.errors import CanserError
 from canser.files import FORMATS, FrameFile
 from canser.frames import FrameArray
 from canser.live.player import Played, play
-from canser.live.ports import Port
 
 __all__ = ["add"]
-
-# A line that takes nothing for so long, in seconds, does not work.
-_PATIENCE = 10.0
 
 # A day between two frames: the nanoseconds of many such gaps fit in 64 bits.
 _GAP_MOST_MS = 86_400_000
@@ -66,38 +65,129 @@ def add(commands: Commands) -> None:
     )
     as_is_argument(parser)
     parser.add_argument("--loop", action="store_true", help="over and over, until interrupted")
+    parser.add_argument(
+        "--strict",
+        action="store_true",
+        help="send nothing of a file with frames that the protocol cannot carry (default: leave "
+        "these frames out, and count them)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    if args.loop and args.source == "-":
-        raise CallError("the standard input can be read only once; --loop needs a file")
+    file = Path(args.source).is_file()  # else a pipe, which can be read once
+    if args.loop and not file:
+        raise CallError(f"{args.source} can be read only once; --loop needs a file")
     gap_ns = None if args.gap is None else int(args.gap * 1e6)
     with stop_on_signals() as stop:
+        source = _Source(args, stop)
+        if file:
+            source.check()
         first = _open(args)
         with first, open_port(args) as port:
-            sender = _Sender(port, first.name)
-            played = play(
-                _rounds(args, first, stop),
-                sender.send,
-                speed=args.speed,
-                gap_ns=gap_ns,
-                wanted=lambda: not stop,
-            )
-            port.drain(timeout=_PATIENCE)
-    if not played.frames and not stop:
-        raise DataError(f"{first.name} holds no frame")
-    _tell(args, played)
+            sender = Sender(port, wanted=lambda: not stop)
+            try:
+                played = play(
+                    source.rounds(first),
+                    sender.send,
+                    speed=args.speed,
+                    gap_ns=gap_ns,
+                    wanted=lambda: not stop,
+                )
+                sender.drain()
+            finally:
+                source.tell_left_out()
+    if sender.sent or stop:
+        _tell(args, played, sender.sent)
+    source.finish()
     return GOOD
 
 
-def _rounds(
-    args: argparse.Namespace, first: FrameFile, stop: Stop
-) -> Iterator[Iterator[FrameArray]]:
-    yield first
-    say_remarks(first)
-    while args.loop and not stop:
-        with _open(args) as again:
-            yield again
+class _Source:
+    """The frames of IN that the port's protocol can carry, round by round.
+
+    What goes wrong with IN while it is played ends the last round, and comes from `finish`:
+    the frames before it are sent, and counted.
+    """
+
+    def __init__(self, args: argparse.Namespace, stop: Stop) -> None:
+        self._args, self._stop = args, stop
+        self._expected = 0  # frames that are left out, in all rounds so far, as `check` has told
+        self._checked = self._refusals()
+        self._played = self._refusals()
+        self._name = ""
+        self._told: set[str] = set()
+        self._error: Exception | None = None
+
+    def check(self) -> None:
+        """Read the whole file, and tell of it, before anything is sent."""
+        with _open(self._args) as file:
+            for frames in file:
+                self._checked.keep(frames)
+                if self._stop:
+                    return
+            self._tell_remarks(file)
+            self._check_any(file.name, self._checked)
+        if self._checked.left_out:
+            if self._args.strict:
+                raise self._refused(file.name, self._checked)
+            say(f"{file.name}: {self._checked}; {self._args.protocol} cannot carry them")
+
+    def rounds(self, first: FrameFile) -> Iterator[Iterator[FrameArray]]:
+        """Yield the frames of each round."""
+        self._name = first.name
+        yield self._frames(first)
+        while self._args.loop and not (self._stop or self._error):
+            with _open(self._args) as again:
+                yield self._frames(again)
+
+    def tell_left_out(self) -> None:
+        """Tell what is left out, where `check` has not: of a pipe, or a file that has changed."""
+        if self._played.left_out > self._expected:
+            say(f"{self._name}: {self._played}; {self._args.protocol} cannot carry them")
+
+    def finish(self) -> None:
+        """Raise what has ended the playing."""
+        if self._error is not None:
+            raise self._error
+        if not self._stop:
+            self._check_any(self._name, self._played)
+
+    def _frames(self, file: FrameFile) -> Iterator[FrameArray]:
+        self._expected += self._checked.left_out
+        try:
+            for frames in file:
+                kept = self._played.keep(frames)
+                if self._args.strict and self._played.left_out:
+                    raise self._refused(file.name, self._played)
+                yield kept
+        except (CanserError, DataError, ValueError, OSError) as error:
+            self._error = error
+        self._tell_remarks(file)
+
+    def _tell_remarks(self, file: FrameFile) -> None:
+        """Tell each remark once, however often the file is read."""
+        for remark in file.remarks:
+            if remark not in self._told:
+                self._told.add(remark)
+                say(f"{file.name}: {remark}")
+
+    def _check_any(self, name: str, found: Refusals) -> None:
+        if not found.frames:
+            raise DataError(f"{name} holds no frame")
+        if found.frames == found.left_out:
+            raise DataError(
+                f"{name}: {self._args.protocol} can carry none of the {found.frames:,} frames: "
+                f"{found.reasons}"
+            )
+
+    def _refused(self, name: str, found: Refusals) -> DataError:
+        return DataError(
+            f"{name}: {self._args.protocol} cannot carry {found.left_out:,} of {found.frames:,} "
+            f"frames: {found.reasons}; without --strict they are left out"
+        )
+
+    def _refusals(self) -> Refusals:
+        return Refusals(self._args.protocol, times_given=True)
 
 
 def _open(args: argparse.Namespace) -> FrameFile:
@@ -111,28 +201,9 @@ def _open(args: argparse.Namespace) -> FrameFile:
     )
 
 
-class _Sender:
-    """Send frames, and name the place of one that cannot be sent."""
-
-    def __init__(self, port: Port, name: str) -> None:
-        self._port, self._name = port, name
-        self._sent = 0
-
-    def send(self, frames: FrameArray) -> None:
-        """Send frames."""
-        try:
-            self._port.send(frames, timeout=_PATIENCE)
-        except ValueError as error:
-            raise DataError(
-                f"{self._name}: {error} (counted from frame {self._sent:,}); the frames before "
-                "it were sent"
-            ) from None
-        self._sent += len(frames)
-
-
-def _tell(args: argparse.Namespace, played: Played) -> None:
+def _tell(args: argparse.Namespace, played: Played, sent: int) -> None:
     rounds = f" in {played.rounds:,} rounds" if args.loop else ""
-    say(f"{played.frames:,} frames sent to {args.channel}{rounds}")
+    say(f"{sent:,} frames sent to {args.channel}{rounds}")
     if played.untimed == played.frames and args.gap is None:
         say("they have no times: sent as fast as the line took them; --gap MS spaces them")
         return

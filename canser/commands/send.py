@@ -3,15 +3,13 @@
 import argparse
 
 from canser.codec import encode
-from canser.commands._common import GOOD, CallError, Commands, DataError, add_command, say
+from canser.commands._common import GOOD, CallError, Commands, add_command, say
 from canser.commands._port import open_port, port_arguments
+from canser.commands._sending import Sender
 from canser.formats.candump import frames_of
 from canser.frames import copy_records
 
 __all__ = ["add"]
-
-# A line that takes nothing for so long, in seconds, does not work.
-_PATIENCE = 10.0
 
 
 def add(commands: Commands) -> None:
@@ -45,9 +43,9 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as error:
         raise CallError(str(error)) from None
     with open_port(args) as port:
-        count = port.send(frames, timeout=_PATIENCE)
-        if not port.drain(timeout=_PATIENCE):
-            raise DataError(f"{port.url} does not send what it took; is the adapter plugged in?")
-        url = port.url
-    say(f"{count:,} frame{'s' * (count != 1)} sent to {url}")
+        sender = Sender(port)
+        sender.send(frames)
+        sender.drain()
+    count = sender.sent
+    say(f"{count:,} frame{'s' * (count != 1)} sent to {args.channel}")
     return GOOD

@@ -1,0 +1,109 @@
+"""Frames to a port, and how many of them the line has sent for sure."""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from canser.codec import decode, encode
+from canser.commands._common import DataError
+from canser.errors import PortError, SendError, SendTimeoutError
+from canser.frames import FrameArray, copy_records
+from canser.live.ports import Port
+
+__all__ = ["Sender"]
+
+# A line that takes or sends nothing for so long, in seconds, does not work.
+_PATIENCE_S: Final = 10.0
+
+# Seconds between two looks at a slow line: whether anything goes out, and the wish to end.
+_LOOK_S: Final = 0.1
+
+
+class Sender:
+    """Send frames to a port. DataError, with the counts, where the line does not send them.
+
+    `wanted`: asked ten times a second whether to go on. `sent`: frames that the line has sent
+    for sure. Frames that the system holds are not among them; a pseudo terminal does not tell
+    what it holds, and all that it has taken counts as sent.
+    """
+
+    def __init__(self, port: Port, wanted: Callable[[], bool] = lambda: True) -> None:
+        self._port, self._wanted = port, wanted
+        self.sent = 0
+        # What the line has taken behind these frames, and how much of it is not known to be sent.
+        self._held: deque[tuple[int, bytes]] = deque()
+        self._held_len = self._unsent_len = 0
+
+    def send(self, frames: FrameArray) -> None:
+        """Send frames; return when the line has taken them, or they are not wanted any more."""
+        moved_at = time.monotonic()
+        while len(frames) and self._wanted():
+            try:
+                count = self._port.send(frames, timeout=_LOOK_S)
+            except SendTimeoutError as error:
+                count = error.sent
+            except SendError as error:
+                self._add(frames[: error.sent])
+                raise self._failed(f"{self._port.url}: {error.reason}") from None
+            except PortError as error:
+                raise self._failed(str(error)) from None
+            self._add(frames[:count])
+            frames = frames[count:]
+            if count:
+                moved_at = time.monotonic()
+            elif time.monotonic() - moved_at >= _PATIENCE_S:
+                raise self._failed(f"{self._port.url} took nothing for {_PATIENCE_S:g} s")
+
+    def drain(self) -> None:
+        """Wait until the line has sent all that it has taken."""
+        moved_at, unsent_len = time.monotonic(), self._unsent_len
+        try:
+            while not self._port.drain(timeout=_LOOK_S):
+                self._look()
+                if self._unsent_len < unsent_len:
+                    moved_at, unsent_len = time.monotonic(), self._unsent_len
+                elif time.monotonic() - moved_at >= _PATIENCE_S:
+                    raise self._failed(f"{self._port.url} sent nothing for {_PATIENCE_S:g} s")
+        except PortError as error:
+            raise self._failed(str(error)) from None
+        self._look()
+
+    def _add(self, frames: FrameArray) -> None:
+        """Take note of frames that the line has taken."""
+        if len(frames):
+            timed = copy_records(frames)
+            timed["ts"] = 0  # a port gives times to those that have none
+            raw = encode(timed, self._port.protocol)
+            self._held.append((len(frames), raw))
+            self._held_len += len(raw)
+            self._unsent_len += len(raw)
+            self._look()
+
+    def _look(self) -> None:
+        """See how much the line has sent; what is known of a line that is gone stays."""
+        try:
+            self._unsent_len = min(self._port.bytes_unsent, self._held_len)
+        except PortError:
+            return
+        while self._held and self._held_len - len(self._held[0][1]) >= self._unsent_len:
+            count, raw = self._held.popleft()
+            self.sent += count
+            self._held_len -= len(raw)
+
+    def _failed(self, why: str) -> DataError:
+        self._look()
+        sent, waiting = self.sent, sum(count for count, _ in self._held)
+        if self._held:
+            _, raw = self._held[0]
+            starts = np.empty(len(raw), np.int64)
+            count = len(decode(raw, self._port.protocol, offsets=starts))
+            ends = np.append(starts[1:count], len(raw))
+            whole = int(np.searchsorted(ends, self._held_len - self._unsent_len, side="right"))
+            sent, waiting = sent + whole, waiting - whole
+        return DataError(
+            f"{why}; frames sent for sure: {sent:,}, "
+            f"taken by the line but not known to be sent: {waiting:,}"
+        )
