@@ -10,7 +10,16 @@ from typing import NoReturn
 from canser._output import ReaderGoneError
 from canser.codec import protocols
 from canser.commands import ALL
-from canser.commands._common import BAD_CALL, BAD_DATA, GOOD, CallError, DataError, Parser, say
+from canser.commands._common import (
+    BAD_CALL,
+    BAD_DATA,
+    GOOD,
+    CallError,
+    DataError,
+    Parser,
+    say,
+    show,
+)
 from canser.errors import (
     CanserError,
     PortBusyError,
@@ -39,9 +48,17 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"canser {version('canser')}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for command in ALL:
         command.add(commands)
+
+    def show_help(_: argparse.Namespace) -> int:
+        # The help on standard output, for a reader or a pager, as git prints it. But no command
+        # was run: `canser $COMMAND` in a script must not pass for a success where it is empty.
+        show([parser.format_help().rstrip("\n")])
+        return BAD_CALL
+
+    parser.set_defaults(run=show_help)  # a command replaces it
     return parser
 
 

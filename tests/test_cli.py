@@ -114,6 +114,12 @@ def test_help_has_examples_and_fits_80_columns(captures: Path, arguments: list[s
     assert max(map(len, lines)) <= 80
 
 
+def test_without_a_command_the_help_is_shown_and_it_is_no_success(captures: Path) -> None:
+    done = run(captures, COLUMNS="80")
+    assert (done.returncode, done.stderr) == (BAD_CALL, b"")
+    assert done.stdout == run(captures, "--help", COLUMNS="80").stdout
+
+
 def test_raw_bytes_to_a_log_say_what_became_of_every_byte(captures: Path, tmp_path: Path) -> None:
     raw = (captures / "seeed.bin").read_bytes()
     (tmp_path / "run.bin").write_bytes(b"\0" + STATUS + raw + STATUS + b"\0\0")
@@ -182,7 +188,11 @@ def test_dump_prints_the_frames_that_pass_any_filter(captures: Path) -> None:
 
 
 ERRORS = {
-    "no command": ([], BAD_CALL, ["COMMAND", "--help"]),
+    **{
+        f"{name} of nothing": ([name], BAD_CALL, ["required", f"see canser {name} --help"])
+        for name in (module.__name__.split(".")[-1] for module in ALL)
+        if name != "ports"  # needs no arguments
+    },
     "unknown command": (["decode", "x"], BAD_CALL, ["decode", "convert", "--help"]),
     "missing file": (["info", "missing.bin"], BAD_CALL, ["missing.bin", "No such file"]),
     "missing file to convert": (
