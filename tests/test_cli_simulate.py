@@ -327,6 +327,7 @@ ERRORS = {
     ),
     "copy is there": (["-p", "seeed", "--copy", "bad.log"], BAD_CALL, "--force replaces it"),
     "link is a file": (["-p", "seeed", "--link", "bad.log"], BAD_CALL, "bad.log: there already"),
+    "link in no folder": (["-p", "seeed", "--link", "no/link"], BAD_CALL, "no/link: No such file"),
 }
 
 

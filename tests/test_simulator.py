@@ -613,6 +613,26 @@ def test_no_file_is_replaced_by_the_link(tmp_path: Path) -> None:
     assert open_descriptors() == before
 
 
+def test_a_link_to_anything_but_a_terminal_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "folder")
+    with (
+        pytest.raises(FileExistsError, match="no link to a terminal"),
+        Simulator("seeed", link=str(tmp_path / "link")),
+    ):
+        pass
+    assert (tmp_path / "link").readlink() == tmp_path / "folder"
+
+
+def test_a_link_to_a_terminal_is_replaced(tmp_path: Path) -> None:
+    link = tmp_path / "link"
+    with Simulator("seeed") as other:
+        link.symlink_to(other.url)
+        with Simulator("seeed", link=str(link)) as device:
+            assert link.readlink() == Path(device._path)
+    assert not os.path.lexists(link)
+
+
 def test_a_dead_link_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to("/nowhere")
     with Simulator("seeed", FRAMES, link=str(tmp_path / "link")) as device, host(device) as one:

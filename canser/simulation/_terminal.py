@@ -192,7 +192,8 @@ class _Watch:
 class Link:
     """A name that stays while terminals come and go: a symbolic link. "" for none.
 
-    FileExistsError if there is something else of that name.
+    FileExistsError if there is something else of that name, a link that leads to no terminal
+    among it. A link to a terminal is replaced: a simulator that was killed has left it.
     """
 
     def __init__(self, path: str) -> None:
@@ -203,10 +204,15 @@ class Link:
         """Make it, or point it elsewhere, in one step."""
         if self._path is None:
             return
-        if self._path.exists() and not self._path.is_symlink():
-            raise FileExistsError(errno.EEXIST, "there already, and no link", str(self._path))
+        if self._path.exists() and not (self._path.is_symlink() and self._path.is_char_device()):
+            raise FileExistsError(
+                errno.EEXIST, "there already, and no link to a terminal", str(self._path)
+            )
         fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
-        fresh.symlink_to(target)
+        try:
+            fresh.symlink_to(target)
+        except OSError as error:  # names the terminal, which is not at fault
+            raise type(error)(error.errno, error.strerror, str(self._path)) from None
         fresh.replace(self._path)
         self._target = target
 
