@@ -8,14 +8,18 @@ import subprocess
 import sys
 import threading
 import time
+from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import canser
 from canser.cli import main
+from canser.commands.simulate import _traffic
+from canser.frames import FrameArray
 from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import damage, vehicle
 
@@ -173,6 +177,25 @@ def test_seconds_beyond_a_round_go_on(tmp_path: Path) -> None:
         assert command.end()[0] == GOOD
     assert len(frames) == len(vehicle(60)) + len(vehicle(1))
     assert frames["ts"].max() >= 60_900_000_000
+
+
+def test_traffic_is_made_before_any_of_it_is_due(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[float] = []
+
+    def counted(seconds: float, *, extended: bool) -> FrameArray:
+        made.append(seconds)
+        return vehicle(seconds, extended=extended)
+
+    monkeypatch.setattr("canser.commands.simulate.vehicle", counted)
+    args = Namespace(traffic=None, loop=False, seconds=125.0, protocol="seeed")
+    traffic, _ = _traffic(args)
+    parts = iter(traffic)
+    frames = [next(parts)]
+    assert sorted(made) == [5, 60]
+    frames += parts
+    assert sorted(made) == [5, 60]
+    assert len(np.concatenate(frames)) == 2 * len(vehicle(60)) + len(vehicle(5))
+    assert (np.diff(np.concatenate(frames)["ts"]) > -2_000_000).all()  # a frame may be late by 2 ms
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
