@@ -28,6 +28,7 @@ FLOORS = [
         "canser.python_can",
         "canser.recordings",
         "canser.recordings.pcapng",
+        "canser.restarts",
         "canser.simulation",
         "canser.live.ring",
     ],
