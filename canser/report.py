@@ -7,7 +7,8 @@ from typing import Final
 from canser.codec import Control, Stats
 from canser.identify import Fit
 from canser.recordings.recording import RecordingInfo
-from canser.tally import Clock, Tally
+from canser.restarts import Clock
+from canser.tally import Tally
 
 __all__ = ["conservation", "fit_lines", "info_lines", "recording_lines", "reject_text"]
 
@@ -77,11 +78,14 @@ def info_lines(tally: Tally, stats: Stats | None, controls: list[Control]) -> It
 
 
 def _time_text(clock: Clock) -> str:
-    if clock.span_ns is None:
+    if clock.span_ns is None or clock.first is None or clock.last is None:
         return "not known: there are no times in it"
-    if clock.backward:
-        return f"{clock.span_ns / 1e9:,.3f} s without the jumps of the clock ({clock.jumps:,})"
-    return f"{clock.span_ns / 1e9:,.3f} s, from {_seconds(clock.first)} to {_seconds(clock.last)}"
+    text = f"{clock.span_ns / 1e9:,.3f} s"
+    if clock.restarts:
+        text += f" without the jumps of the clock ({clock.restarts:,})"
+    else:
+        text += f", from {_seconds(clock.first)} to {_seconds(clock.last)}"
+    return text + (f"; false times left out: {clock.false_times:,}" if clock.false_times else "")
 
 
 def _seconds(ts: int) -> str:
@@ -114,7 +118,7 @@ def _id_lines(tally: Tally) -> Iterator[str]:
     for (arbitration_id, ext), one in most_first:
         name = f"{arbitration_id:08X}" if ext else f"{arbitration_id:03X}"
         rate = f"{one.count / span * 1e9:10,.2f}" if span and span > 0 else f"{'-':>10}"
-        period = one.clock.period_ns
+        period = one.period_ns
         every = f"{period / 1e6:11,.2f}" if period else f"{'-':>11}"
         dlc = str(one.dlc_least)
         if one.dlc_most > one.dlc_least:

@@ -103,6 +103,19 @@ def test_jumps_of_the_clock_are_told_and_not_counted_as_time() -> None:
     assert lines[0] == "frames     4, 2.0/s"
 
 
+def test_false_times_are_told_and_not_counted_as_time() -> None:
+    times = [number * SECOND for number in range(10)]
+    lines = info(timed(*times[:5], 3_600 * 400 * SECOND, *times[5:]))
+    assert named("time", lines) == (
+        "time       9.000 s, from 0.000 to 9.000; false times left out: 1"
+    )
+    assert lines[0] == "frames     11, 1.2/s"
+    lines = info(timed(*times, *times[:5], 3_600 * 400 * SECOND, *times[5:]))
+    assert named("time", lines) == (
+        "time       18.000 s without the jumps of the clock (1); false times left out: 1"
+    )
+
+
 def test_bytes_are_conserved_in_print() -> None:
     stats = stats_of(NOISE + STANDARD * 1_000 + STATUS + STANDARD[:5])
     assert report.conservation(stats) == (
