@@ -32,14 +32,17 @@ def reject_text(stats: Stats) -> str:
     return ", ".join(f"{name} {count:,}" for name, count in reasons if count)
 
 
-def fit_lines(fits: list[Fit]) -> Iterator[str]:
-    """Yield the ranking of the protocols, with its evidence."""
+def fit_lines(fits: list[Fit], size: int) -> Iterator[str]:
+    """Yield the ranking of the protocols for a file of `size` bytes, with its evidence."""
     yield "protocol    score  explained  by chance   frames  resyncs"
     for fit in fits:
         yield (
             f"{fit.protocol:10} {fit.score:6.1%} {fit.explained:10.1%} {fit.chance:10.1%} "
             f"{fit.stats.frames:8,} {fit.stats.resyncs:8,}"
         )
+    sample = fits[0].stats.bytes_in
+    if sample < size:
+        yield f"counted in a sample of {sample:,} of {size:,} bytes"
 
 
 def recording_lines(info: RecordingInfo) -> Iterator[str]:

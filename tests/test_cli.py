@@ -167,6 +167,13 @@ def test_info_without_a_protocol_finds_it(captures: Path, protocol: str) -> None
     assert "skipped + 0 pending" in text
 
 
+def test_info_says_that_it_looked_at_a_sample(tmp_path: Path) -> None:
+    (tmp_path / "long.bin").write_bytes(canser.encode(vehicle(20), "serial"))
+    size = (tmp_path / "long.bin").stat().st_size
+    done = run(tmp_path, "info", "long.bin")
+    assert f"\ncounted in a sample of 262,144 of {size:,} bytes\n\n" in done.stdout.decode()
+
+
 def test_info_of_frames_needs_no_protocol(captures: Path, tmp_path: Path) -> None:
     run(tmp_path, "convert", str(captures / "serial.bin"), "run.csv", "-p", "serial")
     done = run(tmp_path, "info", "run.csv")

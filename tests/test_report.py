@@ -162,8 +162,9 @@ def test_wraps_and_steps_back_of_the_device_clock_are_told() -> None:
 
 
 def test_a_ranking_has_a_row_for_each_protocol_the_best_first() -> None:
-    fits = canser.identify(canser.encode(vehicle(1), "serial"))
-    lines = list(report.fit_lines(fits))
+    raw = canser.encode(vehicle(1), "serial")
+    fits = canser.identify(raw)
+    lines = list(report.fit_lines(fits, len(raw)))
     assert lines[0].split() == [
         "protocol",
         "score",
@@ -177,9 +178,17 @@ def test_a_ranking_has_a_row_for_each_protocol_the_best_first() -> None:
     assert lines[1].startswith("serial     100.0%")
 
 
+def test_a_ranking_says_where_it_counts_a_sample() -> None:
+    raw = canser.encode(vehicle(10), "serial")
+    *_, last = report.fit_lines(canser.identify(raw[:262_144]), 262_144)
+    assert not last.startswith("counted")
+    *_, last = report.fit_lines(canser.identify(raw[:262_145]), 262_145)
+    assert last == "counted in a sample of 262,144 of 262,145 bytes"
+
+
 def test_tables_fit_a_terminal_of_80_columns() -> None:
     lines = info(vehicle(10))
-    table = lines[lines.index("") :] + list(report.fit_lines(canser.identify(STANDARD)))
+    table = lines[lines.index("") :] + list(report.fit_lines(canser.identify(STANDARD), 10**12))
     assert max(map(len, table)) <= 80
 
 

@@ -80,9 +80,10 @@ def _identify(args: argparse.Namespace) -> Fit:
         )
     if os.path.getsize(args.source) == 0:  # noqa: PTH202
         raise DataError(f"{args.source} is empty")
-    fits = identify(np.memmap(args.source, np.uint8, mode="r"))
+    raw = np.memmap(args.source, np.uint8, mode="r")
+    fits = identify(raw)
     best = fits[0]
-    show([*report.fit_lines(fits), ""])
+    show([*report.fit_lines(fits, len(raw)), ""])
     if not best.fits:
         raise DataError(f"no protocol fits {args.source}; name it with -p if you know better")
     show([f"protocol   {best.protocol}, which explains {best.score:.1%} of it beyond chance"])
