@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import statistics
 import threading
 from typing import Any
 
@@ -21,6 +22,7 @@ from canser.monitoring.livetable import (
     exact,
     ordered,
 )
+from canser.restarts import Clock
 from reference import Frame
 from samples import MILLISECOND as MS
 from samples import array
@@ -35,7 +37,8 @@ class Plain:
     last: Frame
     count: int = 1
     changed: list[int] = dataclasses.field(default_factory=lambda: [NO_TIME] * 8)
-    intervals: list[int] = dataclasses.field(default_factory=list)
+    steps: list[int] = dataclasses.field(default_factory=list)
+    timed: tuple[int, int] | None = None  # the last known time, and its stretch
 
     def add(self, frame: Frame) -> None:
         self.count += 1
@@ -44,24 +47,30 @@ class Plain:
             before, after = (f.data[at] if at < f.dlc else None for f in (self.last, frame))
             if before != after:
                 self.changed[at] = max(self.changed[at], frame.ts)
-        if NO_TIME not in (frame.ts, self.last.ts) and frame.ts >= self.last.ts:
-            self.intervals.append(frame.ts - self.last.ts)
         self.last = frame
 
-    def period_and_jitter(self) -> tuple[float, float]:
-        ages = range(len(self.intervals) - 1, -1, -1)
-        weights = [0.5 ** (age / 32) for age in ages]
-        if not weights:
-            return math.nan, math.nan
-        mean = sum(w * d for w, d in zip(weights, self.intervals, strict=True)) / sum(weights)
-        square = sum(w * (d - mean) ** 2 for w, d in zip(weights, self.intervals, strict=True))
-        return mean, math.sqrt(square / sum(weights)) if len(weights) > 1 else math.nan
+    def add_time(self, ts: int, stretch: int) -> None:
+        if self.timed is not None and self.timed[1] == stretch and ts > self.timed[0]:
+            self.steps.append(ts - self.timed[0])
+        self.timed = ts, stretch
+
+    def pace(self) -> tuple[float, float, float]:
+        """Return period, jitter and rate."""
+        steps = self.steps[-32:]
+        if not steps:
+            return math.nan, math.nan, math.nan
+        period = statistics.median(steps)
+        near = [step for step in steps if 0.5 * period <= step <= 1.5 * period]
+        jitter = statistics.pstdev(near) if len(near) > 1 else math.nan
+        return period, jitter, 1e9 * len(steps) / sum(steps)
 
 
 @st.composite
 def traffic(draw: st.DrawFn) -> list[Frame]:
     frames = []
+    start = 0
     for _ in range(draw(st.integers(0, 60))):
+        start += draw(st.sampled_from((0, 0, 10 * MS, 500 * MS)))
         ext = draw(st.booleans())
         dlc = draw(st.integers(0, 8))
         rtr = draw(st.booleans())
@@ -73,7 +82,8 @@ def traffic(draw: st.DrawFn) -> list[Frame]:
                 dlc,
                 draw(st.booleans()),
                 bytes(0 if rtr else draw(st.integers(0, 1)) for _ in range(dlc)).ljust(8, b"\0"),
-                draw(st.one_of(st.integers(0, 3_000 * MS), st.just(NO_TIME))),
+                # In order or nearly so, and now and then a restart of the clock.
+                draw(st.one_of(st.integers(start, start + 9 * MS), st.sampled_from((0, NO_TIME)))),
             )
         )
     return frames
@@ -82,12 +92,16 @@ def traffic(draw: st.DrawFn) -> list[Frame]:
 @given(traffic(), st.lists(st.integers(0, 60)))
 def test_it_says_what_a_plain_table_says(frames: list[Frame], cuts: list[int]) -> None:
     plain: dict[Kind, Plain] = {}
+    clock = Clock()
     for frame in frames:
         kind = (frame.err, frame.ext, frame.id, frame.rtr)
         if kind in plain:
             plain[kind].add(frame)
         else:
             plain[kind] = Plain(frame)
+        if frame.ts != NO_TIME:
+            (stretch,) = clock.add(np.array([frame.ts]))
+            plain[kind].add_time(frame.ts, int(stretch))
 
     table = LiveTable()
     for piece in np.split(array(*frames), sorted(min(cut, len(frames)) for cut in cuts)):
@@ -105,11 +119,10 @@ def test_it_says_what_a_plain_table_says(frames: list[Frame], cuts: list[int]) -
         assert row["ts"] == expected.last.ts
         assert row["data"].tobytes() == expected.last.data
         assert row["changed"].tolist() == expected.changed
-        period, jitter = expected.period_and_jitter()
+        period, jitter, rate = expected.pace()
         assert row["period"] == pytest.approx(period, rel=1e-9, nan_ok=True)
-        # The difference of two squares: good to a hundred-millionth of the intervals.
-        most = max(expected.intervals, default=0)
-        assert row["jitter"] == pytest.approx(jitter, rel=1e-6, abs=1e-7 * most, nan_ok=True)
+        assert row["jitter"] == pytest.approx(jitter, rel=1e-6, abs=1e-9 * period, nan_ok=True)
+        assert row["rate"] == pytest.approx(rate, rel=1e-9, nan_ok=True)
 
 
 def sent(*ts: int, arbitration_id: int = 0x123, **fields: Any) -> FrameArray:
@@ -138,9 +151,60 @@ def test_a_steady_id_has_its_period_and_no_jitter() -> None:
 def test_jitter_is_the_standard_deviation_of_the_intervals() -> None:
     late = np.random.default_rng(1).normal(0, 0.5 * MS, 100_000).astype(int)
     row = one_row(sent(*(np.cumsum(10 * MS + late)).tolist()))
-    # Some 90 intervals count: so far a standard deviation of them is off.
+    # The last 32 intervals count: so far their standard deviation may be off.
     assert row["period"] == pytest.approx(10 * MS, rel=0.05)
     assert row["jitter"] == pytest.approx(0.5 * MS, rel=0.3)
+
+
+def test_the_last_32_steps_count_however_they_come() -> None:
+    times = np.cumsum([0, *[100 * MS] * 40, *[10 * MS] * 16, *[20 * MS] * 16])
+    table = LiveTable()
+    for batch in np.array_split(sent(*times.tolist()), 7):
+        table.add(batch)
+    (row,) = table.rows()
+    assert row["period"] == 15 * MS
+    assert row["jitter"] == 5 * MS
+    assert row["rate"] == pytest.approx(1_000 / 15)
+    table.add(sent(int(times[-1]) + 20 * MS))
+    (row,) = table.rows()
+    assert row["period"] == 20 * MS
+
+
+def test_a_lost_frame_changes_neither_period_nor_jitter() -> None:
+    row = one_row(sent(*(number * 10 * MS for number in range(100) if number % 9)))
+    assert (row["period"], row["jitter"]) == (10 * MS, 0)
+    assert row["rate"] < 95
+
+
+def test_the_rate_of_bursts_is_not_that_of_their_steps() -> None:
+    bursts = [second * 1_000 * MS + number * MS for second in range(20) for number in range(4)]
+    row = one_row(sent(*bursts))
+    assert row["period"] == MS
+    assert row["rate"] == pytest.approx(4, rel=0.1)
+
+
+def test_no_step_leads_across_a_restart_of_the_clock() -> None:
+    """The second id comes later behind the restart than in front of it."""
+    table = LiveTable()
+    for run in range(2):
+        table.add(sent(*range(0, 5_000 * MS, 10 * MS)))
+        table.add(sent(5_000 * MS + run * 7 * MS, arbitration_id=0x456))
+    first, second = table.rows()
+    assert first["period"] == 10 * MS
+    assert first["jitter"] == 0
+    assert math.isnan(second["period"])
+    table.add(sent(5_057 * MS, arbitration_id=0x456))
+    assert table.rows()["period"].tolist() == [10 * MS, 50 * MS]
+
+
+def test_a_false_time_keeps_no_row_from_its_period() -> None:
+    table = LiveTable()
+    for second in range(10):
+        table.add(sent(second * 1_000 * MS, arbitration_id=0x456))
+        table.add(sent(*range(second * 1_000 * MS, (second + 1) * 1_000 * MS, 10 * MS)))
+        table.add(sent((second - 900) * 1_000 * MS, arbitration_id=0x7FF))
+    rows = table.rows()
+    assert rows["period"][:2].tolist() == [10 * MS, 1_000 * MS]
 
 
 def test_an_old_pace_is_forgotten() -> None:
@@ -222,7 +286,7 @@ def some_rows() -> RowArray:
     table.add(sent(*range(0, 100, 10), arbitration_id=0x300))
     table.add(sent(*range(0, 150, 50), arbitration_id=0x100, dlc=2))
     table.add(sent(900, arbitration_id=0x200, dlc=4))
-    table.add(sent(1, 2, 6, arbitration_id=0x0AB, ext=True))
+    table.add(sent(1, 2, 4, arbitration_id=0x0AB, ext=True))
     return table.rows()
 
 

@@ -150,7 +150,7 @@ def _values(rows: RowArray, now: int) -> Iterator["_Row"]:
     levels = np.zeros((len(rows), 8), np.int8)
     for since in (NO_TIME, now - _FADING, now - _FRESH):
         levels += rows["changed"] > since
-    names = ("id", "ext", "rtr", "err", "dlc", "count", "ts", "period", "jitter", "data")
+    names = ("id", "ext", "rtr", "err", "dlc", "count", "ts", "period", "jitter", "rate", "data")
     columns = [rows[name].tolist() for name in names]
     for values in zip(*columns, levels.tolist(), strict=True):
         yield _Row(*values)
@@ -168,6 +168,7 @@ class _Row(NamedTuple):
     ts: int
     period: float
     jitter: float
+    rate: float
     data: list[int]
     levels: list[int]  # how fresh each byte's change is
 
@@ -188,7 +189,7 @@ class _Painter(NamedTuple):
         quiet = age > _SECOND and (math.isnan(row.period) or age > _QUIET * row.period)
         number = self.looks["quiet" if quiet else "number"]
         name = f"{row.id:08X}" if row.ext or row.err else f"{row.id:03X}"
-        rate = f"{1e9 / row.period:,.1f}" if row.period > 0 else "-"
+        rate = "-" if math.isnan(row.rate) else f"{row.rate:,.1f}"
         figures = (
             (_KIND, "E" if row.err else "R" if row.rtr else ""),
             (_COUNT, _count(row.frames)),

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, match, with_mask
+from canser.restarts import Clock
 
 __all__ = ["COLUMNS", "ROW_DTYPE", "LiveTable", "RowArray", "choose", "exact", "ordered"]
 
@@ -26,6 +27,7 @@ ROW_DTYPE: Final[np.dtype[np.void]] = np.dtype(
         ("changed", np.int64, (8,)),  # the time of the frame that last changed a byte, or NO_TIME
         ("period", np.float64),  # nanoseconds, NaN for not known
         ("jitter", np.float64),  # nanoseconds, NaN for not known
+        ("rate", np.float64),  # frames a second, NaN for not known
     ],
     align=True,
 )
@@ -33,10 +35,13 @@ ROW_DTYPE: Final[np.dtype[np.void]] = np.dtype(
 # What rows can be sorted by.
 COLUMNS: Final = ("id", "count", "period", "jitter", "dlc", "ts")
 
-# An interval counts half as much once so many others came after it: long enough for a
-# steady figure, short enough to follow an id that changes its pace.
-_HALF: Final = 32
-_KEEP: Final = 0.5 ** (1 / _HALF)
+# Period and jitter are those of the last steps of an id, of so many: enough for a steady
+# figure, few enough to follow an id that changes its pace.
+_STEPS: Final = 32
+
+# Jitter is that of steps between so many periods: where a frame is lost a step is of two.
+_STEP_LEAST: Final = 0.5
+_STEP_MOST: Final = 1.5
 
 # A wrong baud rate makes up new ids without end. Frames of more ids than these are counted,
 # and have no row.
@@ -54,10 +59,11 @@ class LiveTable:
     A remote frame or an error frame is not of the same kind as the data frame with its id: it
     has a period of its own, and no data that could change.
 
-    `period` is the mean of the intervals from one frame to the next, `jitter` their standard
-    deviation; both are weighted: an interval counts half as much after 32 more. Times that are
-    not known, and steps back, make no interval. `period` is known from the second frame on,
-    `jitter` from the third.
+    `period` is the median of the last 32 steps forward from one frame of a row to the next,
+    known from the second frame on. `jitter` is the standard deviation of those between 0.5 and
+    1.5 periods, known of two or more. `rate` is the number of the last 32 steps over their sum:
+    not 1 / `period` where frames come in bursts. Times that are not known, steps back and
+    those across a restart of the clock count for none of them.
     """
 
     def __init__(self) -> None:
@@ -67,8 +73,12 @@ class LiveTable:
     def _empty(self) -> None:
         self._frames = self._others = 0
         self._rows = np.zeros(0, ROW_DTYPE)
-        # Weighted sums of the intervals' powers 0, 1 and 2.
-        self._sums = np.zeros((3, 0))
+        self._clock = Clock()
+        # The last known time of a row, and which stretch of the clock it is of: 0 for none.
+        self._times = np.zeros((2, 0), np.int64)
+        # The last steps of a row, nanoseconds, 0 for none; and how many there have been.
+        self._steps = np.zeros((0, _STEPS))
+        self._counts = np.zeros(0, np.int64)
         self._keys = np.zeros(0, np.uint32)  # in order
         self._places = np.zeros(0, np.intp)  # of these keys among the rows
 
@@ -91,12 +101,8 @@ class LiveTable:
         """Return a copy of all rows: ROW_DTYPE, shape (n,), standard ids first, then by id."""
         with self._lock:
             rows = self._rows[self._places]
-            weight, first, second = self._sums[:, self._places]
-        with np.errstate(invalid="ignore"):
-            mean = first / weight
-            variance = np.maximum(second / weight - mean * mean, 0)
-        rows["period"] = mean
-        rows["jitter"] = np.where(weight > 1, np.sqrt(variance), np.nan)
+            steps = self._steps[self._places]
+        _set_pace(rows, steps)
         return rows
 
     def add(self, frames: FrameArray) -> None:
@@ -105,6 +111,9 @@ class LiveTable:
             return
         with self._lock:
             self._frames += len(frames)
+            known = frames["ts"] != NO_TIME
+            stretches = np.zeros(len(frames), np.int64)
+            stretches[known] = self._clock.add(frames["ts"][known])
             keys = _keys(frames)
             order = np.argsort(keys, kind="stable")
             starts = _starts(keys[order])
@@ -116,6 +125,7 @@ class LiveTable:
                 starts = _starts(keys[order])
             if len(order):
                 self._add(frames.take(order), starts, places)
+                self._add_steps(frames["ts"][order], stretches[order], starts, places)
 
     def _add(self, frames: FrameArray, starts: npt.NDArray[np.intp], places: _Places) -> None:
         """Take frames in the order of their rows; `starts`: where those of each place start."""
@@ -132,12 +142,6 @@ class LiveTable:
         times = np.where(changed, frames["ts"][:, None], NO_TIME)
         newest = np.maximum(np.maximum.reduceat(times, starts), old["changed"])
 
-        ts = frames["ts"]
-        before = _behind(ts, old["ts"], starts)
-        before[new] = NO_TIME
-        good = (before != NO_TIME) & (ts >= before)
-        self._add_intervals((ts - before)[good], np.add.reduceat(good, starts, dtype=int), places)
-
         last = frames.take(starts + counts - 1)
         for name in FRAME_DTYPE.names or ():
             old[name] = last[name]
@@ -145,18 +149,34 @@ class LiveTable:
         old["changed"] = newest
         self._rows[places] = old
 
-    def _add_intervals(
-        self, intervals: npt.NDArray[np.int64], counts: npt.NDArray[np.int_], places: _Places
+    def _add_steps(
+        self,
+        ts: npt.NDArray[np.int64],
+        stretches: npt.NDArray[np.int64],
+        starts: npt.NDArray[np.intp],
+        places: _Places,
     ) -> None:
-        """Take intervals in the order of their rows, `counts` of each place."""
-        later = np.repeat(np.cumsum(counts), counts) - 1 - np.arange(len(intervals))
-        weights = _KEEP**later
-        group = np.repeat(np.arange(len(places)), counts)
-        sums = self._sums[:, places] * _KEEP**counts
-        for power in range(3):
-            sums[power] += np.bincount(group, weights, len(places))
-            weights = weights * intervals
-        self._sums[:, places] = sums
+        """Take times in the order of their rows, and the stretch of each."""
+        known = stretches > 0
+        ts, stretches = ts[known], stretches[known]
+        counts = np.add.reduceat(known, starts, dtype=np.intp)
+        ends = np.cumsum(counts)[counts > 0]
+        places, counts = places[counts > 0], counts[counts > 0]
+        old_ts, old_stretches = self._times[:, places]
+        before = _behind(ts, old_ts, ends - counts)
+        good = stretches == _behind(stretches, old_stretches, ends - counts)
+        good &= ts > before
+        self._times[:, places] = ts[ends - 1], stretches[ends - 1]
+
+        # Unsigned: then the longest step is no overflow.
+        steps = (ts - before).view(np.uint64)[good]
+        group = np.repeat(np.arange(len(places)), counts)[good]
+        counts = np.bincount(group, minlength=len(places))
+        later = np.cumsum(counts)[group] - 1 - np.arange(len(group))
+        kept = later < _STEPS
+        self._counts[places] += counts
+        at = self._counts[places[group]] - 1 - later
+        self._steps[places[group][kept], at[kept] % _STEPS] = steps[kept]
 
     def _find(self, keys: npt.NDArray[np.uint32]) -> _Places:
         """Return the rows of distinct keys in order, new ones too; -1 where there is no room."""
@@ -182,7 +202,29 @@ class LiveTable:
         more = np.zeros(size - len(self._rows), ROW_DTYPE)
         more["changed"] = NO_TIME
         self._rows = np.concatenate([self._rows, more])
-        self._sums = np.hstack([self._sums, np.zeros((3, len(more)))])
+        self._times = np.hstack([self._times, np.zeros((2, len(more)), np.int64)])
+        self._steps = np.vstack([self._steps, np.zeros((len(more), _STEPS))])
+        self._counts = np.append(self._counts, np.zeros(len(more), np.int64))
+
+
+def _set_pace(rows: RowArray, steps: npt.NDArray[np.float64]) -> None:
+    """Set period, jitter and rate of rows by their last steps: shape (n, 32), 0 for none."""
+    counts = np.count_nonzero(steps, axis=1)
+    steps = np.sort(steps, axis=1)  # those that are none come first
+    first = _STEPS - np.maximum(counts, 1)
+    middle = first + (counts - 1) // 2, first + counts // 2  # one where the count is odd
+    row = np.arange(len(rows))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        period = np.where(counts > 0, (steps[row, middle[0]] + steps[row, middle[1]]) / 2, np.nan)
+        least, most = (share * period[:, None] for share in (_STEP_LEAST, _STEP_MOST))
+        near = (steps >= least) & (steps <= most)
+        of = near.sum(axis=1)
+        off = np.where(near, steps - period[:, None], 0)
+        off -= np.where(near, (off.sum(axis=1) / of)[:, None], 0)
+        jitter = np.sqrt((off * off).sum(axis=1) / of)
+        rows["rate"] = np.where(counts > 0, 1e9 * counts / steps.sum(axis=1), np.nan)
+    rows["period"] = period
+    rows["jitter"] = np.where(of > 1, jitter, np.nan)
 
 
 def _keys(frames: FrameArray) -> npt.NDArray[np.uint32]:
