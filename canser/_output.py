@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and the standard output."""
+"""Files that appear whole or not at all, the standard output, and the standard error."""
 
 import contextlib
 import errno
@@ -65,6 +65,41 @@ def standard_output() -> Iterator[BinaryIO]:
     sys.stdout.flush()
     with io.BufferedWriter(_StandardOutput()) as file:
         yield cast(BinaryIO, file)
+
+
+class _Messages(io.FileIO):
+    """A file for writing that drops what cannot be written."""
+
+    def write(self, data: Any) -> int:
+        """Write a part of the bytes at least, or drop them all."""
+        with contextlib.suppress(OSError):
+            done: int | None = super().write(data)
+            if done is not None:  # None: the stream does not block, and takes nothing now
+                return done
+        return len(data)
+
+
+@contextlib.contextmanager
+def optional_messages() -> Iterator[None]:
+    """Let sys.stderr drop messages that cannot be written, where it is a file.
+
+    Otherwise a message to a disk that is full, or to a pipe without a reader, would end the
+    work in the middle. A closed standard error takes all, like /dev/null.
+    """
+    before = sys.stderr
+    try:
+        fd = os.open(os.devnull, os.O_WRONLY) if before is None else before.fileno()
+    except io.UnsupportedOperation:  # in a notebook, and in tests
+        yield
+        return
+    file = io.BufferedWriter(_Messages(fd, "w", closefd=before is None))
+    encoding = None if before is None else before.encoding
+    sys.stderr = io.TextIOWrapper(file, encoding, errors="backslashreplace", line_buffering=True)
+    try:
+        yield
+    finally:
+        sys.stderr.close()
+        sys.stderr = before
 
 
 @contextlib.contextmanager

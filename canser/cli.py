@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from typing import NoReturn
 
-from canser._output import ReaderGoneError
+from canser._output import ReaderGoneError, optional_messages
 from canser.codec import protocols
 from canser.commands import ALL
 from canser.commands._common import (
@@ -82,9 +82,14 @@ def _terminated_cleanly() -> Iterator[None]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code."""
-    args = _parser().parse_args(argv)
+    """Run the command; return its exit code. What becomes of messages does not change it."""
+    with optional_messages():
+        return _run(argv)
+
+
+def _run(argv: Sequence[str] | None) -> int:
     try:
+        args = _parser().parse_args(argv)
         with _terminated_cleanly():
             code: int = args.run(args)
             return code

@@ -29,23 +29,29 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a capture whose frames are more than a pipe holds."""
     made = tmp_path_factory.mktemp("streams")
     (made / "run.bin").write_bytes(canser.encode(vehicle(20), "serial"))
+    (made / "text").write_text("This is a letter and no capture.\n" * 100)
     return made
 
 
-def run(
-    folder: Path, command: str, redirections: str = "", *, unbuffered: str = ""
-) -> subprocess.CompletedProcess[bytes]:
-    """Run a command of canser with what the shell knows for its streams, such as `2>&-`."""
+def run(folder: Path, command: str, redirections: str = "") -> subprocess.CompletedProcess[bytes]:
+    """Run a command with what the shell writes for its streams; 9 is a pipe without a reader."""
     call = [sys.executable, "-m", "canser", *command.split()]
-    return subprocess.run(
-        ["sh", "-c", f'exec "$@" {redirections}', "sh", *call],
-        cwd=folder,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        env=os.environ | {"PYTHONUNBUFFERED": unbuffered},
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        return subprocess.run(
+            ["bash", "-c", f'exec 9>&{writer}; exec "$@" {redirections}', "bash", *call],
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            pass_fds=[writer],
+            # Buffered, as users have it: what is not written yet is written at the end.
+            env={name: os.environ[name] for name in os.environ.keys() - {"PYTHONUNBUFFERED"}},
+            timeout=PATIENCE_S,
+            check=False,
+        )
+    finally:
+        os.close(writer)
 
 
 @full
@@ -65,10 +71,10 @@ def test_a_pipe_that_breaks_is_an_error_where_it_is_a_file(folder: Path, tmp_pat
         with fifo.open("rb", buffering=0) as file:
             file.read(10)
 
-    reader = threading.Thread(target=read_little)
+    reader = threading.Thread(target=read_little, daemon=True)
     reader.start()
     done = run(folder, f"convert run.bin {fifo} -p serial --to log")
-    reader.join()
+    reader.join(PATIENCE_S)
     assert (done.returncode, done.stdout) == (BAD_DATA, b"")
     assert done.stderr.decode() == f"canser: {fifo}: Broken pipe\n"
 
@@ -78,3 +84,40 @@ def test_a_full_device_is_named(folder: Path) -> None:
     done = run(folder, "convert run.bin /dev/full -p serial --to log")
     assert done.returncode == BAD_DATA
     assert done.stderr == b"canser: /dev/full: No space left on device\n"
+
+
+# A command, and its exit code.
+COMMANDS = {
+    "convert run.bin x.npy -p serial --force": GOOD,
+    "info run.bin": GOOD,
+    "--version": GOOD,
+    "info text": BAD_DATA,
+    "info missing": BAD_CALL,
+    "info": BAD_CALL,
+    "monitor -c loop:// -p serial": BAD_CALL,
+}
+
+
+@pytest.mark.parametrize(
+    "stream", [pytest.param("2> /dev/full", marks=full, id="full"), "2>&-", "2>&9"]
+)
+@pytest.mark.parametrize("command", COMMANDS)
+def test_messages_that_cannot_be_written_change_no_exit_code(
+    folder: Path, command: str, stream: str
+) -> None:
+    done = run(folder, command, stream)
+    assert done.returncode == COMMANDS[command]
+
+
+@pytest.mark.parametrize("command", ["--version", "--help", "log --help"])
+@full
+def test_a_help_that_cannot_be_printed_is_an_error(folder: Path, command: str) -> None:
+    done = run(folder, command, "> /dev/full")
+    assert done.returncode == BAD_DATA
+    assert done.stderr == b"canser: standard output: No space left on device\n"
+
+
+@pytest.mark.parametrize("command", ["--version", "info run.bin", "dump run.bin -p serial"])
+def test_a_standard_output_without_a_reader_is_no_error(folder: Path, command: str) -> None:
+    done = run(folder, command, ">&9")
+    assert (done.returncode, done.stdout, done.stderr) == (GOOD, b"", b"")

@@ -59,6 +59,13 @@ class Parser(argparse.ArgumentParser):
         """End the program with a line that says what is wrong."""
         self.exit(BAD_CALL, f"{self.prog}: {message}; see {self.prog} --help\n")
 
+    def _print_message(self, message: str, file: Any = None) -> None:
+        # A help or a version: `show` tells of a standard output that is full or closed.
+        if file is not None and file is not sys.stderr:
+            show(message.splitlines())
+        else:
+            super()._print_message(message, file)
+
 
 def add_command(
     commands: Commands,
