@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,9 @@ import canser
 from canser.simulation.traffic import vehicle
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="/dev/full, named pipes, a shell")
+
+if sys.platform != "win32":
+    from device import until
 
 GOOD, BAD_DATA, BAD_CALL = 0, 1, 2
 
@@ -121,3 +125,31 @@ def test_a_help_that_cannot_be_printed_is_an_error(folder: Path, command: str) -
 def test_a_standard_output_without_a_reader_is_no_error(folder: Path, command: str) -> None:
     done = run(folder, command, ">&9")
     assert (done.returncode, done.stdout, done.stderr) == (GOOD, b"", b"")
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-"])
+def test_a_monitor_without_a_terminal_says_so(folder: Path, closed: str) -> None:
+    pytest.importorskip("textual")
+    done = run(folder, "monitor -c loop:// -p serial", closed)
+    assert done.returncode == BAD_CALL
+    assert done.stdout == b""
+    assert closed == "2>&-" or done.stderr.startswith(b"canser: the monitor needs a terminal")
+
+
+@pytest.mark.parametrize("report", ["report.json", "-"])
+def test_a_simulation_goes_on_without_a_reader_of_its_name(tmp_path: Path, report: str) -> None:
+    raw = canser.encode(vehicle(0.1), "serial")
+    (tmp_path / "run.bin").write_bytes(raw)
+    link = tmp_path / "dev"
+    command = f"simulate -p serial --traffic run.bin --link dev --copy sent.bin --report {report}"
+    with ThreadPoolExecutor() as pool:
+        simulation = pool.submit(run, tmp_path, command, ">&9")
+        until(link.exists)
+        host = os.open(link, os.O_RDWR | os.O_NOCTTY)
+        got = b""
+        while len(got) < len(raw):
+            got += os.read(host, 4096)
+        os.close(host)
+        assert simulation.result(PATIENCE_S).returncode == GOOD
+    assert (tmp_path / "sent.bin").read_bytes() == got == raw
+    assert (tmp_path / "report.json").exists() == (report != "-")

@@ -51,7 +51,8 @@ def run(args: argparse.Namespace) -> int:
         filters = exact(" ".join(args.filters))
     except ValueError as error:
         raise CallError(str(error)) from None
-    if not all(stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr)):
+    streams = (sys.stdin, sys.stdout, sys.stderr)  # None: closed
+    if not all(stream is not None and stream.isatty() for stream in streams):
         raise CallError(
             "the monitor needs a terminal, and its input or output is none; "
             "run it without < > and |"

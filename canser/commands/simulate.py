@@ -10,7 +10,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from canser._output import check_apart, whole_file
+from canser._output import ReaderGoneError, check_apart, whole_file
 from canser._signals import Stop, stop_on_signals
 from canser.codec import TS_UNITS, encode, protocols
 from canser.commands._common import (
@@ -174,15 +174,17 @@ def run(args: argparse.Namespace) -> int:
         ):
             if args.pace is None and args.baudrate is None and device.report().pace == "line":
                 say(f"{args.traffic}: the frames have no times; sent as fast as the line carries")
-            show([device.url])
+            with contextlib.suppress(ReaderGoneError):  # --link names the terminal, too
+                show([device.url])
             endless = loop or (args.traffic is None and args.seconds is None)
             failure = _run(device, stop, endless=endless)
         report = device.report()
         text = json.dumps(dataclasses.asdict(report), indent=2)
         if target is not None:
             target.write(text.encode() + b"\n")
-        elif args.report is not None:
-            show([text])
+    # Behind the files: a reader that has gone takes none of them away.
+    if args.report == "-":
+        show([text])
     for line in _summary(report):
         say(line)
     if failure:
