@@ -2,22 +2,36 @@
 
 import contextlib
 import os
+import stat
+import sys
 import threading
 import time
 import warnings
+from array import array
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, Self, cast
 
 from canser.errors import CanserWarning
 
+if sys.platform != "win32":
+    import fcntl
+    import termios
+
 __all__ = ["Lines", "StatusLine", "fit", "warnings_as_lines"]
 
-# Lines that nobody reads: the newest so many are kept.
+# Lines that wait for their reader: the newest are kept, so many.
 _KEPT: Final = 10_000
 
-# So long the end waits for somebody who reads slowly, in seconds.
-_PATIENCE: Final = 2.0
+# A pipe takes this many bytes as one, as soon as its reader has made room for them.
+_PART_BYTES: Final = 4096
+
+# The end waits for a reader that is slow, but not for one that takes nothing for so long.
+_PATIENCE_S: Final = 5.0
+_LOOK_S: Final = 0.1
+
+# A descriptor that does not block is tried again after this time.
+_RETRY_S: Final = 0.05
 
 # A status line is rewritten so often at most, in seconds; where it cannot be rewritten it
 # is a line of its own.
@@ -30,17 +44,26 @@ _CLEAR: Final = "\r\x1b[K"
 class Lines:
     """Write lines to a descriptor, from a thread of its own; a context manager.
 
-    A terminal that is stopped by Ctrl-S, or a pipe that nobody reads, would hold up a writer,
-    and so lose what comes over a line. Here nobody waits: lines queue up, and go with
-    the descriptor when it is closed at its other end.
+    A terminal that is stopped by Ctrl-S, or a pipe that is not read, would hold up a writer,
+    and so lose what comes over a serial line. Here lines queue up: the newest are kept, and
+    `dropped` counts the others. The end waits until all lines are written, as long as some are
+    read: `unread` tells that it has given up.
+
+    After an error of the descriptor nothing more is written; `error` has it.
     """
 
-    def __init__(self, fd: int | None) -> None:
-        """`fd`: None where there is nobody to tell."""
-        self._fd = fd
-        self._lines: deque[str] = deque(maxlen=_KEPT)
+    def __init__(
+        self, fd: int | None, on_error: Callable[[OSError], None] = lambda _: None
+    ) -> None:
+        """`fd`: None for lines without a reader; `on_error`: is called by the thread."""
+        self.dropped = 0
+        self.unread = False
+        self.error: OSError | None = None
+        self._fd, self._on_error = fd, on_error
+        self._lines: deque[str] = deque()
         self._passing: str | None = None  # a line without an end, not shown yet
         self._shown = ""  # the one that stands there
+        self._written = 0  # bytes
         self._came = threading.Condition()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="canser lines", daemon=True)
@@ -53,12 +76,25 @@ class Lines:
         with self._came:
             self._closing = True
             self._came.notify()
-        self._thread.join(_PATIENCE)
+        seen, since = (-1, -1), 0.0
+        while self._thread.is_alive():
+            now = self._written, _in_pipe(self._fd)
+            if now != seen:
+                seen, since = now, time.monotonic()
+            elif time.monotonic() - since > _PATIENCE_S:
+                self.unread = True
+                return
+            self._thread.join(_LOOK_S)
 
-    def put(self, line: str) -> None:
-        """Write a line."""
+    def put(self, line: str, *, last: bool = False) -> None:
+        """Write a line. `last`: one of the last lines, for which no other is dropped."""
         with self._came:
+            if self.error is not None:
+                return
             self._lines.append(line)
+            if len(self._lines) > _KEPT and not last:
+                self._lines.popleft()
+                self.dropped += 1
             self._came.notify()
 
     def stand(self, text: str) -> None:
@@ -68,19 +104,37 @@ class Lines:
             self._came.notify()
 
     def _run(self) -> None:
-        with contextlib.suppress(OSError):  # nobody reads any more
-            while True:
-                with self._came:
-                    while not (self._lines or self._passing is not None or self._closing):
-                        self._came.wait()
-                    text = self._take()
-                data = memoryview(text.encode("utf-8", "backslashreplace"))
-                while data and self._fd is not None:
-                    # Not through sys.stderr: its lock would hold up the end of the program.
-                    data = data[os.write(self._fd, data) :]
-                with self._came:
-                    if self._closing and not self._lines and self._passing is None:
-                        return
+        try:
+            self._write_all()
+        except OSError as error:
+            with self._came:
+                self.error = error
+                self._lines.clear()
+            self._on_error(error)
+
+    def _write_all(self) -> None:
+        while True:
+            with self._came:
+                while not (self._lines or self._passing is not None or self._closing):
+                    self._came.wait()
+                text = self._take()
+            if self._fd is not None:
+                self._write(self._fd, text.encode("utf-8", "backslashreplace"))
+            with self._came:
+                if self._closing and not self._lines and self._passing is None:
+                    return
+
+    def _write(self, fd: int, data: bytes) -> None:
+        at = 0
+        while at < len(data):
+            try:
+                # Not through sys.stderr: its lock would hold up the end of the program.
+                done = os.write(fd, data[at : at + _PART_BYTES])
+            except BlockingIOError:
+                time.sleep(_RETRY_S)
+                continue
+            at += done
+            self._written += done
 
     def _take(self) -> str:
         text = "".join(f"{line}\n" for line in self._lines)
@@ -91,6 +145,16 @@ class Lines:
             text = f"{_CLEAR}{text}{standing}"
         self._shown = standing
         return text
+
+
+def _in_pipe(fd: int | None) -> int:
+    """Return how many bytes in a pipe are not read yet; 0 where that is not known."""
+    if sys.platform != "win32" and fd is not None and stat.S_ISFIFO(os.fstat(fd).st_mode):
+        count = array("i", [0])
+        with contextlib.suppress(OSError):
+            fcntl.ioctl(fd, termios.FIONREAD, count)
+        return count[0]
+    return 0
 
 
 class StatusLine:
