@@ -1,10 +1,13 @@
 """`canser log` as its users run it: pseudo terminals, signals, full disks, files afterwards."""
 
+import contextlib
+import json
 import os
 import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,9 +21,11 @@ from canser.simulation.traffic import vehicle
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
 
 if sys.platform != "win32":
+    import fcntl
     import resource
 
     from beside import fails, open_terminal, read_terminal, running
+    from canser.commands._screen import PATIENCE_S
     from canser.simulation.simulator import Simulator
     from device import Device, until
 
@@ -324,7 +329,7 @@ def test_without_a_trigger_there_is_no_file(tmp_path: Path, device: "Device") ->
 STATUS_KEYS = {
     "type", "time", "elapsed", "frames", "frames_per_s", "bytes", "bytes_per_s", "bus_load",
     "framed", "control", "skipped", "pending", "resyncs", "lost", "gaps", "gaps_unknown", "ring",
-    "recorded", "not_recorded", "triggers", "files", "file",
+    "recorded", "not_recorded", "triggers", "files", "file", "lines_dropped",
 }  # fmt: skip
 
 
@@ -406,6 +411,103 @@ def test_closed_streams(tmp_path: Path) -> None:
     done = subprocess.run(without(1), cwd=tmp_path, capture_output=True, check=False)
     assert done.returncode == BAD_CALL
     assert b"the standard output is closed" in done.stderr
+
+
+# What becomes of the messages and objects
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="/dev/full, pipes of a page")
+
+
+@contextlib.contextmanager
+def pipe(*, read: bool = True) -> Iterator[tuple[int, int]]:
+    """Yield the ends of a pipe; `read`: whether it has a reader."""
+    reader, writer = os.pipe()
+    if not read:
+        os.close(reader)
+    try:
+        yield reader, writer
+    finally:
+        os.close(writer)
+        if read:
+            os.close(reader)
+
+
+@linux
+@pytest.mark.parametrize("stderr", ["full", "no reader"])
+@pytest.mark.parametrize("fails", [False, True], ids=["good", "fails"])
+def test_messages_change_no_exit_code(
+    tmp_path: Path, device: "Device", stderr: str, fails: bool
+) -> None:
+    with open("/dev/full", "wb", buffering=0) as full, pipe(read=False) as (_, broken):  # noqa: PTH123
+        fd = full.fileno() if stderr == "full" else broken
+        with running(tmp_path, *log("run.pcapng"), stderr=fd) as run:
+            path = tmp_path / "run.pcapng"
+            until(path.exists)
+            device.write(RAW)
+            until(lambda: path.stat().st_size > len(RAW))
+            if fails:
+                device.unplug()
+            assert run.end(None if fails else signal.SIGINT) == (BAD_DATA if fails else GOOD)
+    assert content(path) == RAW
+
+
+@linux
+@pytest.mark.parametrize("stdout", ["full", "no reader"])
+def test_the_recording_goes_on_without_the_objects(
+    tmp_path: Path, device: "Device", stdout: str
+) -> None:
+    with open("/dev/full", "wb", buffering=0) as full, pipe(read=False) as (_, broken):  # noqa: PTH123
+        fd = full.fileno() if stdout == "full" else broken
+        with running(tmp_path, *log("--json", "run.pcapng"), stdout=fd) as run:
+            path = tmp_path / "run.pcapng"
+            until(path.exists)
+            if stdout == "full":
+                run.wait_line("No space left")
+            device.write(RAW)
+            until(lambda: path.stat().st_size > len(RAW))
+            assert run.end(signal.SIGTERM) == (BAD_DATA if stdout == "full" else GOOD)
+    assert content(path) == RAW
+    assert run.err == [
+        "canser: standard output: No space left on device; the objects from now on are missing, "
+        "the recording goes on"
+    ] * (stdout == "full")
+
+
+@linux
+def test_a_slow_reader_gets_the_end(tmp_path: Path, device: "Device") -> None:
+    with pipe() as (reader, writer):
+        fcntl.fcntl(writer, fcntl.F_SETPIPE_SZ, 4096)
+        os.write(writer, b"\n" * 4096)
+        with running(tmp_path, *log("--json", "run.pcapng"), stdout=writer) as run:
+            until((tmp_path / "run.pcapng").exists)
+            device.write(RAW)
+            run.process.send_signal(signal.SIGINT)
+            # The end waits as long as some is read: for longer than its patience.
+            begin, text = time.monotonic(), b""
+            while time.monotonic() - begin < PATIENCE_S + 1:
+                text += os.read(reader, 1)
+                time.sleep(0.1)
+            assert run.process.poll() is None
+            while b'"end"' not in text:
+                text += os.read(reader, 4096)
+            assert run.end() == GOOD
+    assert run.err == []
+    assert json.loads(text.splitlines()[-1])["type"] == "end"
+
+
+@linux
+def test_a_reader_that_takes_nothing_does_not_keep_it(tmp_path: Path, device: "Device") -> None:
+    with pipe() as (_, writer):
+        fcntl.fcntl(writer, fcntl.F_SETPIPE_SZ, 4096)
+        os.write(writer, b"\n" * 4096)
+        with running(tmp_path, *log("--json", "run.pcapng"), stdout=writer) as run:
+            until((tmp_path / "run.pcapng").exists)
+            device.write(RAW)
+            assert run.end(signal.SIGINT) == BAD_DATA
+    assert run.err == [
+        "canser: standard output: the reader took nothing for 5 s; the last objects are missing"
+    ]
+    assert content(tmp_path / "run.pcapng") == RAW
 
 
 @pytest.mark.usefixtures("device")

@@ -147,7 +147,7 @@ def test_lines_beyond_those_that_are_kept_are_counted(monkeypatch: pytest.Monkey
 
 def test_a_slow_reader_gets_all_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that takes far less than a page of the pipe in the time of the patience."""
-    monkeypatch.setattr(_screen, "_PATIENCE_S", 1.0)
+    monkeypatch.setattr(_screen, "PATIENCE_S", 1.0)
     reader, writer = os.pipe()
     fill(writer)
     ended = threading.Event()
@@ -173,7 +173,7 @@ def test_a_slow_reader_gets_all_lines(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_end_does_not_wait_for_a_reader_that_takes_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_screen, "_PATIENCE_S", 0.2)
+    monkeypatch.setattr(_screen, "PATIENCE_S", 0.2)
     reader, writer = os.pipe()
     fill(writer)
     with Lines(writer) as lines:

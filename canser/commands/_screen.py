@@ -18,7 +18,7 @@ if sys.platform != "win32":
     import fcntl
     import termios
 
-__all__ = ["Lines", "StatusLine", "fit", "warnings_as_lines"]
+__all__ = ["PATIENCE_S", "Lines", "StatusLine", "fit", "warnings_as_lines"]
 
 # Lines that wait for their reader: the newest are kept, so many.
 _KEPT: Final = 10_000
@@ -27,7 +27,7 @@ _KEPT: Final = 10_000
 _PART_BYTES: Final = 4096
 
 # The end waits for a reader that is slow, but not for one that takes nothing for so long.
-_PATIENCE_S: Final = 5.0
+PATIENCE_S: Final = 5.0
 _LOOK_S: Final = 0.1
 
 # A descriptor that does not block is tried again after this time.
@@ -81,7 +81,7 @@ class Lines:
             now = self._written, _in_pipe(self._fd)
             if now != seen:
                 seen, since = now, time.monotonic()
-            elif time.monotonic() - since > _PATIENCE_S:
+            elif time.monotonic() - since > PATIENCE_S:
                 self.unread = True
                 return
             self._thread.join(_LOOK_S)

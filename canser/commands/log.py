@@ -13,6 +13,7 @@ With --json each line on standard output is an object with a `type` and a `time`
              ring: how full it is, 0 to 1
              recorded, not_recorded: bytes on the disk, and far from any trigger
              triggers; files: that were opened; file: the open one, or ""
+             lines_dropped: objects that are missing, because those before them were not read
     opened, closed, deleted    a file: path
     trigger  path: of the file that was open, or ""
     gap      offset: in the stream; lost: bytes, -1 where nobody knows; reason: "overflow",
@@ -20,6 +21,11 @@ With --json each line on standard output is an object with a `type` and a `time`
     back     the device is back after a gap
     error    number: what the adapter reports
     warning  message
+
+The recording goes on, whatever becomes of the objects. A reader that ends, as in `| head -1`,
+is no error. Where the objects cannot be written, as on a full disk, and where at the end their
+reader takes nothing for 5 s, standard error says so, and the exit code is 1. For a slow reader
+the newest 10,000 objects are kept, and the end waits until they are read.
 """
 
 import argparse
@@ -27,18 +33,19 @@ import contextlib
 import json
 import sys
 import time
+from collections.abc import Iterable
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
 from canser import adapters, report
 from canser._signals import Stop, stop_on_signals
-from canser.commands._common import BAD_DATA, GOOD, CallError, Commands, add_command, say
+from canser.commands._common import BAD_DATA, GOOD, CallError, Commands, add_command
 from canser.commands._numbers import byte_count, duration, whole
 from canser.commands._port import open_port, port_arguments, staying_arguments
-from canser.commands._screen import Lines, StatusLine, warnings_as_lines
+from canser.commands._screen import PATIENCE_S, Lines, StatusLine, warnings_as_lines
 from canser.errors import PortError, StreamClosedError
 from canser.frames import FRAME_DTYPE, FrameArray, match
 from canser.live.meter import Meter
@@ -92,7 +99,8 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--json",
         action="store_true",
-        help="a JSON object a second, and one for each event, on standard output",
+        help="a JSON object a second, and one for each event, on standard output; where they "
+        "cannot be written the recording goes on, and the exit code is 1",
     )
     turns = parser.add_argument_group(
         "files by turns", "OUT run.pcapng is then run-000001.pcapng and so on"
@@ -127,22 +135,22 @@ def run(args: argparse.Namespace) -> int:
         recorder = _recorder(args)
     except ValueError as error:
         raise CallError(str(error)) from None
-    stream = sys.stdout if args.json else sys.stderr
-    if stream is None and args.json:
+    if args.json and sys.stdout is None:
         raise StreamClosedError("the standard output is closed; open it, or leave --json out")
-    told = None if stream is None else stream.fileno()
     with (
         contextlib.closing(recorder),
         stop_on_signals() as stop,
-        Lines(told) as lines,
+        Lines(sys.stderr.fileno()) as messages,
     ):
-        teller = _Teller(lines, None if args.json else StatusLine(lines, told))
-        with warnings_as_lines(teller.warn), open_port(args, tap=recorder.write) as port:
+        with (
+            _Teller(messages, as_json=args.json) as teller,
+            warnings_as_lines(teller.warn),
+            open_port(args, tap=recorder.write) as port,
+        ):
             ended = _Log(args, filters, port, recorder, teller).run(stop)
-    if ended is None:
-        return GOOD
-    say(f"canser: {ended}")
-    return BAD_DATA
+        if ended is not None:
+            messages.put(f"canser: {ended}", last=True)
+    return BAD_DATA if ended is not None or teller.failed else GOOD
 
 
 def _recorder(args: argparse.Namespace) -> Recorder:
@@ -180,12 +188,47 @@ def _size(text: str) -> int:
 
 
 class _Teller:
-    """Tell people on standard error, or machines on standard output."""
+    """Tell people on standard error, or machines on standard output; a context manager."""
 
-    def __init__(self, lines: Lines, status: StatusLine | None) -> None:
-        self._lines = lines
-        self.status = status  # None where machines read
+    def __init__(self, messages: Lines, *, as_json: bool) -> None:
+        """`messages`: the lines on standard error."""
+        self.failed = False  # objects are missing on standard output
+        self._messages = messages
+        self._objects = Lines(sys.stdout.fileno(), self._fail) if as_json else None
+        self._lines = self._objects or messages
+        # None where machines read.
+        self.status = None if as_json else StatusLine(messages, sys.stderr.fileno())
         self._due = time.monotonic() + _EVERY
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._objects is None:
+            return
+        self._objects.__exit__(*error)
+        if self._objects.unread:
+            self.failed = True
+            self._messages.put(
+                f"canser: standard output: the reader took nothing for {PATIENCE_S:.0f} s; "
+                "the last objects are missing",
+                last=True,
+            )
+
+    def _fail(self, error: OSError) -> None:
+        if isinstance(error, BrokenPipeError):
+            return  # the reader has ended, and that is its right
+        self.failed = True
+        self._messages.put(
+            f"canser: standard output: {error.strerror}; the objects from now on are missing, "
+            "the recording goes on",
+            last=True,
+        )
+
+    @property
+    def dropped(self) -> int:
+        """How many lines are missing because their reader was too slow."""
+        return self._lines.dropped
 
     @property
     def due(self) -> bool:
@@ -204,7 +247,13 @@ class _Teller:
         if kind == "status":
             # By the clock, not by when the last one was late.
             self._due = max(self._due + _EVERY, time.monotonic())
-        self._lines.put(json.dumps({"type": kind, "time": round(ts / 1e9, 6), **facts}))
+        line = json.dumps({"type": kind, "time": round(ts / 1e9, 6), **facts})
+        self._lines.put(line, last=kind == "end")
+
+    def last_lines(self, lines: Iterable[str]) -> None:
+        """Tell people how it has ended."""
+        for line in lines:
+            self._lines.put(line, last=True)
 
     def warn(self, text: str) -> None:
         """Tell a warning."""
@@ -371,6 +420,7 @@ class _Log:
             "triggers": recorder.triggers,
             "files": recorder.files,
             "file": recorder.file,
+            "lines_dropped": self._teller.dropped,
         }
 
     def _parts(self) -> list[str]:
@@ -426,8 +476,11 @@ class _Log:
             )
         unknown = f"; gaps of unknown length: {self._gaps_unknown:,}" if self._gaps_unknown else ""
         lines.append(f"lost: {port.bytes_lost:,} bytes{unknown}")
-        for line in lines:
-            self._teller.event("", line, 0)
+        if self._teller.dropped:
+            lines.append(
+                f"lines not shown, because standard error was not read: {self._teller.dropped:,}"
+            )
+        self._teller.last_lines(lines)
 
 
 def _disk_error(error: OSError, recorder: Recorder) -> Exception:
