@@ -383,6 +383,78 @@ def test_a_full_disk_leaves_a_file_that_is_good(room: int, tmp_path: Path) -> No
     assert [piece for piece, *_ in pieces] == [data] * whole
 
 
+@pytest.mark.parametrize("at", ["write", "fdatasync"])
+@pytest.mark.skipif(sys.platform != "linux", reason="fdatasync is not everywhere")
+def test_errors_name_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: str) -> None:
+    path = tmp_path / "run.pcapng"
+
+    def fail(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, at, fail)
+        with pytest.raises(OSError, match="No space left") as caught:
+            RecordingWriter(path, INFO)
+    assert caught.value.filename == str(path)
+    assert not path.exists()
+    with RecordingWriter(path, INFO) as writer:
+        writer.write(b"abc", EPOCH)
+        with monkeypatch.context() as patch:
+            patch.setattr(os, at, fail)
+            with pytest.raises(OSError, match="No space left") as caught:
+                writer.sync()
+        assert caught.value.filename == str(path)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="fdatasync is not everywhere")
+def test_after_a_failed_sync_only_what_was_synced_before_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A system tells once that it has lost what it could not write, and then forgets it."""
+    failures = [OSError(errno.EIO, os.strerror(errno.EIO))]
+
+    def fail_once(_: int) -> None:
+        if failures:
+            raise failures.pop()
+
+    writer = RecordingWriter(tmp_path / "run.pcapng", INFO)
+    writer.write(b"good", EPOCH)
+    writer.sync()
+    assert writer.bytes_synced == 4
+    monkeypatch.setattr(os, "fdatasync", fail_once)
+    writer.write(b"unknown", EPOCH + 1000 * MS)
+    with pytest.raises(OSError, match="Input/output error"):
+        writer.sync()
+    assert not failures
+    with pytest.raises(ValueError, match="start a new one"):
+        writer.sync()
+    writer.close()
+    assert (writer.bytes_written, writer.bytes_synced) == (11, 4)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="fdatasync is not everywhere")
+@pytest.mark.parametrize("syncs", [True, False])
+def test_what_was_written_before_the_disk_was_full_is_synced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, syncs: bool
+) -> None:
+    writer = RecordingWriter(tmp_path / "run.pcapng", INFO)
+    writer.write(b"before", EPOCH)
+    writer.poll(EPOCH + 300 * MS)
+    writer.write(b"last", EPOCH + 400 * MS)
+
+    def fail(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", fail)
+        if not syncs:
+            patch.setattr(os, "fdatasync", fail)
+        with pytest.raises(OSError, match="No space left"):
+            writer.sync()
+    writer.close()
+    assert (writer.bytes_written, writer.bytes_synced) == (6, 6 if syncs else 0)
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full is not here")
 def test_a_full_device_is_told() -> None:
     with open("/dev/full", "wb", buffering=0) as file, pytest.raises(OSError) as caught:  # noqa: PTH123, PT011

@@ -9,6 +9,7 @@ and told. The standard's hash covers the bytes only: a flipped bit in a time, in
 or in the interface's description is found where the value is impossible, and else is not.
 """
 
+import contextlib
 import errno
 import os
 import re
@@ -138,13 +139,15 @@ class RecordingWriter:
     one thread at a time.
 
     OSError where the disk is full: the file then ends with its last whole block, the writer
-    writes no more, and what was in the open chunk is lost. FileExistsError for a path that
-    is there.
+    writes no more, and what was in the open chunk is lost. OSError, too, where the disk does
+    not take what was written: what came behind `bytes_synced` may then be lost. An error names
+    the path. FileExistsError for a path that is there.
     """
 
     def __init__(self, target: Source, info: RecordingInfo) -> None:
         self.info = info
         self.bytes_written = 0  # of the line, without the format's own
+        self.bytes_synced = 0  # of these, those that are known to be on the disk
         self.blocks_written = 0
         self._room = bytearray()  # the open chunk: the block's head, and the bytes
         self._crc32 = 0
@@ -158,23 +161,24 @@ class RecordingWriter:
         self._usable = True
         self._opened: BinaryIO | None = None
         header = _header(info)  # a mistake shows before there is a file
-        path: Path | None = None
+        self._path: Path | None = None
         if isinstance(target, (str, os.PathLike)):
-            path = Path(target)
-            self._opened = file = cast(BinaryIO, path.open("xb", buffering=0))
+            self._path = Path(target)
+            self._opened = file = cast(BinaryIO, self._path.open("xb", buffering=0))
         else:
             file = target
         self._fd = file.fileno()
         self._new_chunk()
         try:
-            self._write_block(header)
-            self._write_through()
-            if path is not None:
-                _sync_folder(path.absolute().parent)
+            with self._naming():
+                self._write_block(header)
+                self._write_through()
+                if self._path is not None:
+                    _sync_folder(self._path.absolute().parent)
         except BaseException:
-            if path is not None:
+            if self._path is not None:
                 file.close()
-                path.unlink(missing_ok=True)
+                self._path.unlink(missing_ok=True)
             raise
 
     def __enter__(self) -> Self:
@@ -280,13 +284,16 @@ class RecordingWriter:
     def _write_block(self, block: bytes | bytearray) -> None:
         """Write a block by one call, or leave the file as it was."""
         try:
-            done = os.write(self._fd, block)
-            # The system says why it took a part only when it is asked again.
-            while done < len(block):
-                done += os.write(self._fd, memoryview(block)[done:])
+            with self._naming():
+                done = os.write(self._fd, block)
+                # The system says why it took a part only when it is asked again.
+                while done < len(block):
+                    done += os.write(self._fd, memoryview(block)[done:])
         except BaseException:
             self._usable = False
             self._cut()
+            with contextlib.suppress(OSError):
+                self._write_through()  # the blocks before it
             raise
         self._whole += len(block)
         self._dirty = True
@@ -302,14 +309,28 @@ class RecordingWriter:
     def _write_through(self) -> None:
         if not self._dirty:
             return
+        self._dirty = False
         try:
-            # Without the time of the last change, where the system knows the difference.
-            getattr(os, "fdatasync", os.fsync)(self._fd)
+            with self._naming():
+                # Without the time of the last change, where the system knows the difference.
+                getattr(os, "fdatasync", os.fsync)(self._fd)
         except OSError as error:
             if error.errno not in _NO_SYNC:
+                # The system may have dropped what it could not write. It tells that once: a
+                # second call would succeed.
                 self._usable = False
                 raise
-        self._dirty = False
+        self.bytes_synced = self.bytes_written
+
+    @contextlib.contextmanager
+    def _naming(self) -> Iterator[None]:
+        """Let an error name the file."""
+        try:
+            yield
+        except OSError as error:
+            if error.filename is None and self._path is not None:
+                error.filename = str(self._path)
+            raise
 
     def _statistics(self) -> bytes:
         """Return the block that ends a recording that was closed."""
