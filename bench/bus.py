@@ -90,7 +90,7 @@ def batches(bus: CanserBus, feed: Callable[[], None], count: int) -> FrameArray:
     while (had := sum(map(len, found))) < count:
         found.append(bus.recv_batch(timeout=10))
         assert len(found[-1]), f"{had} frames of {count} came"
-    return np.concatenate(found)
+    return canser.concat(found)
 
 
 def bare(arguments: list[Row]) -> None:

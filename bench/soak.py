@@ -140,7 +140,7 @@ def soak(protocol: str, hours: float, times: int, folder: Path) -> list[str]:
 def check_files(folder: Path, kept: int, count: int, sent: npt.NDArray[np.uint64]) -> list[str]:
     """Read the last files: they must hold the last frames, and nothing else."""
     files = sorted(folder.glob("*.pcapng"))
-    found = [np.concatenate(list(canser.blocks(file))) for file in files]
+    found = [canser.concat(canser.blocks(file)) for file in files]
     at = count - sum(map(len, found))
     wrong = [] if len(files) == kept else [f"{len(files)} files are there, not {kept}"]
     for file, frames in zip(files, found, strict=True):

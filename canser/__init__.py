@@ -16,7 +16,7 @@ from canser.errors import (
     SendError,
     SendTimeoutError,
 )
-from canser.frames import FRAME_DTYPE, NO_TIME, match
+from canser.frames import FRAME_DTYPE, NO_TIME, concat, match
 from canser.identify import Fit, identify
 from canser.live.ports import Gap, Port, PortInfo, list_ports, open  # noqa: A004 - as in gzip.open
 
@@ -44,6 +44,7 @@ __all__ = [
     "SendTimeoutError",
     "Stats",
     "blocks",
+    "concat",
     "decode",
     "encode",
     "identify",

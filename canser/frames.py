@@ -1,6 +1,8 @@
 """The record of a decoded frame, and the choice of frames by can-utils' filters."""
 
 import re
+import sys
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
@@ -10,11 +12,13 @@ __all__ = [
     "FRAME_DTYPE",
     "NO_TIME",
     "FrameArray",
+    "concat",
     "copy_records",
     "describe",
     "flaw",
     "match",
     "put_records",
+    "refuse_mask",
 ]
 
 FrameArray = npt.NDArray[np.void]
@@ -50,7 +54,7 @@ def match(frames: FrameArray, *filters: str) -> npt.NDArray[np.bool_]:
     """Mark the frames that pass any of the filters: ids, or can-utils' notation.
 
     `frames`: array of FRAME_DTYPE, any shape. Returns a boolean array of that
-    shape: `frames[canser.match(frames, "123")]`. Hexadecimal, with or without 0x:
+    shape: `frames.compress(canser.match(frames, "123"))`. Hexadecimal, with or without 0x:
 
     - `ID`       data and remote frames with exactly that id: standard where ID has
       one to three digits (`123`), extended where it has eight (`18FEF100`); four to
@@ -72,6 +76,7 @@ def match(frames: FrameArray, *filters: str) -> npt.NDArray[np.bool_]:
             f"frames must be an array of canser.FRAME_DTYPE, not {describe(frames)}; "
             "decode() makes one"
         )
+    refuse_mask(frames, "frames")
     rules = [_parse_filter(text) for text in filters]
     if not rules:
         return np.ones(frames.shape, np.bool_)
@@ -170,3 +175,47 @@ def copy_records(records: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
     copy = np.empty(records.shape, records.dtype)
     put_records(copy, records)
     return copy
+
+
+def concat(arrays: Iterable[FrameArray]) -> FrameArray:
+    """Join arrays of frames into one, in their order.
+
+    `arrays`: a list or another iterable of arrays of FRAME_DTYPE, each of shape (n,), contiguous
+    or not. Returns a new array of FRAME_DTYPE, of as many frames as all have together; an empty
+    one for no arrays. The same as `np.concatenate`, in a twentieth of its time: numpy copies
+    frames field by field. `canser.concat([frames])` is a copy as fast.
+
+        frames = canser.concat([decoder.feed(data) for data in pieces])
+
+    Arrays that were filled in the same `out` hold the same frames: copy each before the next.
+
+    TypeError for what is no array of FRAME_DTYPE, and for a masked array; ValueError for an
+    array that does not have one dimension.
+    """
+    if isinstance(arrays, np.ndarray):
+        raise TypeError("arrays must be a list of arrays of frames, not one array; pass [array]")
+    parts = list(arrays)
+    for index, part in enumerate(parts):
+        if not isinstance(part, np.ndarray) or part.dtype != FRAME_DTYPE:
+            raise TypeError(
+                f"arrays[{index}] must be an array of canser.FRAME_DTYPE, not {describe(part)}"
+            )
+        refuse_mask(part, f"arrays[{index}]")
+        if part.ndim != 1:
+            raise ValueError(f"arrays[{index}] has {part.ndim} dimensions; it must have one")
+    joined = np.empty(sum(len(part) for part in parts), FRAME_DTYPE)
+    whole = f"V{FRAME_DTYPE.itemsize}"
+    if parts:
+        np.concatenate([part.view(whole) for part in parts], out=joined.view(whole))
+    return joined
+
+
+def refuse_mask(array: object, name: str) -> None:
+    """Raise TypeError for a masked array: what it masks would be taken like all else."""
+    # Where nobody has imported numpy.ma there are none.
+    ma = sys.modules.get("numpy.ma")
+    if ma is not None and isinstance(array, ma.MaskedArray):
+        raise TypeError(
+            f"{name} is a masked array, and its mask would be lost; "
+            f"pass {name}.data, or the part of it that is not masked"
+        )

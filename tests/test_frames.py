@@ -1,6 +1,7 @@
 """The record and the filters."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -208,3 +209,51 @@ def test_other_records_are_copied_too() -> None:
     rows = np.array([(1, 2.5, b"abc"), (3, 4.5, b"de")], [("a", "i2"), ("b", "f8"), ("c", "S3")])
     assert copy_records(rows).tolist() == rows.tolist()
     assert copy_records(rows).dtype == rows.dtype
+
+
+def test_concat_joins_arrays_in_their_order() -> None:
+    frames = counted(60)
+    parts = [frames[:7], frames[7:7], misaligned(frames[7:30]), frames[::-1][:30][::-1]]
+    joined = canser.concat(parts)
+    assert joined.tobytes() == frames.tobytes()
+    assert joined.dtype == FRAME_DTYPE
+    assert joined.base is None
+    assert joined.flags.owndata
+    assert joined.flags.writeable
+    assert canser.concat(part for part in parts).tobytes() == frames.tobytes()
+    assert canser.concat([frames[::3].view(np.recarray)]).tobytes() == frames[::3].tobytes()
+
+
+def test_concat_of_one_array_is_a_copy() -> None:
+    frames = counted(3)
+    joined = canser.concat([frames])
+    assert not np.shares_memory(joined, frames)
+    assert joined.tobytes() == frames.tobytes()
+
+
+@pytest.mark.parametrize("arrays", [[], (), iter([]), [counted(0)], [counted(0)] * 3])
+def test_concat_of_nothing_is_empty(arrays: Iterable[FrameArray]) -> None:
+    joined = canser.concat(arrays)
+    assert joined.shape == (0,)
+    assert joined.dtype == FRAME_DTYPE
+
+
+@pytest.mark.parametrize(
+    ("arrays", "error", "text"),
+    [
+        (counted(2), TypeError, "arrays must be a list of arrays of frames, not one array"),
+        ([counted(2), np.zeros(2)], TypeError, r"arrays\[1\] must be .* not an array of float64"),
+        ([[1, 2]], TypeError, r"arrays\[0\] must be .* not list"),
+        ([counted(2)[0]], TypeError, r"arrays\[0\] must be"),
+        ([counted(2).reshape(1, 2)], ValueError, r"arrays\[0\] has 2 dimensions; it must have one"),
+        ([counted(2).astype(FRAME_DTYPE.newbyteorder())], TypeError, r"arrays\[0\] must be"),
+        (3, TypeError, "not iterable"),
+        ([np.ma.masked_array(counted(2))], TypeError, r"arrays\[0\] is a masked array"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_concat_of_anything_else_is_an_error(
+    arrays: Any, error: type[Exception], text: str
+) -> None:
+    with pytest.raises(error, match=text):
+        canser.concat(arrays)

@@ -17,7 +17,7 @@ import numpy as np
 from canser import adapters
 from canser.adapters import Report
 from canser.codec import Decoder, encode
-from canser.frames import FRAME_DTYPE, FrameArray, copy_records
+from canser.frames import FRAME_DTYPE, FrameArray, concat, copy_records
 from canser.simulation._outgoing import Outgoing
 from canser.simulation._terminal import Link, Terminal
 
@@ -241,7 +241,7 @@ class Simulator:
         """The frames from the host, oldest first, the newest 65,536 of them: a new array."""
         with self._lock:
             parts = list(self._received)
-        kept = np.concatenate([self._room[:0], *parts])
+        kept = concat(parts)
         return kept[max(0, len(kept) - _RECEIVED_KEPT) :]
 
     @property

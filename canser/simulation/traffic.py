@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canser.frames import FRAME_DTYPE, FrameArray
+from canser.frames import FRAME_DTYPE, FrameArray, concat
 
 __all__ = ["Damaged", "damage", "line_noise", "vehicle"]
 
@@ -49,7 +49,7 @@ def vehicle(seconds: float, *, seed: int = 1, extended: bool = True) -> FrameArr
     asked = np.zeros(int(seconds / 2), FRAME_DTYPE)  # by a tester, every two seconds
     asked["id"], asked["rtr"], asked["dlc"] = 0x7E0, True, 2
     asked["ts"] = np.arange(len(asked), dtype=np.int64) * 2_000 * _MS + 700 * _MS
-    frames = np.concatenate([*streams, asked])
+    frames = concat([*streams, asked])
     frames["ts"] -= frames["ts"] % _MS
     return frames.take(np.argsort(frames["ts"], kind="stable"))
 
