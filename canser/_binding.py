@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canser._core import ffi, lib
-from canser.frames import FRAME_DTYPE, FrameArray, copy_records, describe
+from canser.frames import FRAME_DTYPE, FrameArray, copy_records, describe, refuse_mask
 
 if TYPE_CHECKING:
     from typing_extensions import Buffer
@@ -156,6 +156,7 @@ def find_protocol(name: str) -> Protocol:
 
 def _check_bytes(data: BytesLike) -> memoryview:
     """Return a view of the caller's bytes, or raise."""
+    refuse_mask(data, "data")
     try:
         view = memoryview(cast("Buffer", data))
     except (TypeError, ValueError):  # ValueError: datetime64 arrays and the like
@@ -195,6 +196,7 @@ def _check_array(array: Any, name: str, dtypes: tuple[Any, ...], make: str) -> N
     """Raise unless `array` is one-dimensional, of a dtype, and contiguous."""
     if not isinstance(array, np.ndarray) or array.dtype not in dtypes:
         raise TypeError(f"{name} must be an array as {make} makes, not {describe(array)}")
+    refuse_mask(array, name)
     if array.ndim != 1:
         raise ValueError(f"{name} has {array.ndim} dimensions; it must have one")
     if not array.flags.c_contiguous:

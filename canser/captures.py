@@ -14,6 +14,7 @@ from canser._binding import (
     Offsets,
     Pointer,
     input_bytes,
+    output_offsets,
     output_room,
 )
 from canser._input import Input, Source
@@ -421,6 +422,7 @@ def read(
     CanserWarning. For files larger than memory, and for the counters, use `blocks`.
     """
     check_threads(threads)
+    output_offsets(offsets, 0)
     if protocol is not None:
         check_protocol(protocol, ts_unit)
     with Input(path) as source:

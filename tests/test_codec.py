@@ -4,6 +4,7 @@ import array
 import ctypes
 import gc
 import mmap
+import os
 import pickle
 import platform
 import subprocess
@@ -19,13 +20,16 @@ import numpy as np
 import pytest
 
 import canser
-from canser import codec
+from canser import adapters, codec
 from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray
+from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import line_noise, vehicle
 
 PROTOCOLS = canser.protocols()
 SOME = vehicle(0.2, extended=False)
+PLACES = np.arange(1000)
 RAW = {protocol: canser.encode(SOME, protocol) for protocol in PROTOCOLS}
+BYTES = np.frombuffer(RAW["serial"], np.uint8).copy()
 
 
 def same(got: FrameArray, protocol: str, want: FrameArray = SOME) -> bool:
@@ -175,6 +179,44 @@ def test_offsets_that_cannot_be_filled_are_an_error(
     with pytest.raises(error, match=message):
         decoder.feed_into(RAW["seeed"], np.empty(4, FRAME_DTYPE), offsets)
     assert decoder.stats.bytes_in == 0
+
+
+def masked(array: Any) -> Any:
+    return np.ma.masked_array(array)
+
+
+@pytest.mark.parametrize(
+    ("name", "call"),
+    {
+        "data of decode": lambda: canser.decode(masked(BYTES), "serial"),
+        "data of feed": lambda: canser.Decoder("serial").feed(masked(BYTES)),
+        "data of feed_into": lambda: canser.Decoder("serial").feed_into(
+            masked(BYTES), np.empty(9, FRAME_DTYPE)
+        ),
+        "data of identify": lambda: canser.identify(masked(BYTES)),
+        "data of report": lambda: adapters.report("seeed", masked(BYTES)),
+        "data of line_noise": lambda: line_noise(masked(BYTES)),
+        "out of decode": lambda: canser.decode(b"", "serial", out=masked(SOME)),
+        "out of feed_into": lambda: canser.Decoder("serial").feed_into(b"", masked(SOME)),
+        "out of flush_into": lambda: canser.Decoder("serial").flush_into(masked(SOME)),
+        "out of blocks": lambda: canser.blocks(os.devnull, "serial", out=masked(SOME)),
+        "out of encode": lambda: canser.encode(SOME, "serial", out=masked(BYTES)),
+        "offsets of decode": lambda: canser.decode(b"", "serial", offsets=masked(PLACES)),
+        "offsets of read": lambda: canser.read(os.devnull, "serial", offsets=masked(PLACES)),
+        "offsets of feed_into": lambda: canser.Decoder("serial").feed_into(
+            b"", np.empty(9, FRAME_DTYPE), masked(PLACES)
+        ),
+        "frames of encode": lambda: canser.encode(masked(SOME), "serial"),
+        "frames of match": lambda: canser.match(masked(SOME), "123:7FF"),
+        "frames of encode_blocks": lambda: next(codec.encode_blocks([masked(SOME)], "serial")),
+        "traffic of Simulator": lambda: Simulator("serial", masked(SOME)),
+    }.items(),
+)
+def test_a_mask_is_never_lost_in_silence(name: str, call: Callable[[], Any]) -> None:
+    name = name.partition(" ")[0]
+    text = f"^{name} is a masked array, and its mask would be lost; pass {name}.data, or the part"
+    with pytest.raises(TypeError, match=text):
+        call()
 
 
 def test_memory_that_overlaps_is_an_error() -> None:

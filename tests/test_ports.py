@@ -702,6 +702,19 @@ def test_frames_without_a_time_are_sent_with_that_since_the_start() -> None:
         assert frames["ts"][0] == canser.NO_TIME
 
 
+@pytest.mark.parametrize("protocol", canser.protocols())
+def test_a_mask_is_never_lost_in_silence(protocol: str) -> None:
+    frames = np.zeros(4, canser.FRAME_DTYPE)
+    frames["ts"] = canser.NO_TIME
+    with plugged(protocol) as (_, port):
+        with pytest.raises(TypeError, match="frames is a masked array"):
+            port.send(np.ma.masked_array(frames))
+        with pytest.raises(TypeError, match="out is a masked array"):
+            port.read_batch(np.ma.masked_array(frames), timeout=0)
+        with pytest.raises(TypeError, match="data is a masked array"):
+            port.send_raw(np.ma.masked_array(np.zeros(4, np.uint8)))
+
+
 def test_a_frame_that_cannot_be_encoded_sends_nothing() -> None:
     with plugged("cantalope") as (device, port):
         with pytest.raises(ValueError, match="frame 1"):

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canser import adapters
-from canser._binding import BytesLike, as_bytes, find_protocol, output_frames
+from canser._binding import BytesLike, as_bytes, find_protocol, input_frames, output_frames
 from canser.adapters import Report
 from canser.codec import Control, Decoder, Stats, decode, encode
 from canser.errors import PortClosedError, PortError, SendError, SendTimeoutError
@@ -371,7 +371,8 @@ class Port:
         sent: its rest goes out before anything else.
         """
         self._check_open()
-        if self._clocked and getattr(frames, "dtype", None) == FRAME_DTYPE:
+        input_frames(frames)  # before its times are asked for
+        if self._clocked:
             unknown = frames["ts"] == NO_TIME
             if unknown.any():
                 frames = copy_records(frames)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from canser.adapters import Report
 from canser.codec import decode, encode
-from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records
+from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, refuse_mask
 from canser.simulation.traffic import damage
 
 __all__ = ["Block", "Counts", "Outgoing", "rounds"]
@@ -232,6 +232,7 @@ class Outgoing:
         loss: float,
         seed: int,
     ) -> None:
+        refuse_mask(traffic, "traffic")
         self._protocol, self._ts_unit = protocol, ts_unit
         self._noise, self._loss, self._seed = noise, loss, seed
         self._traffic = rounds(traffic, loop=loop)

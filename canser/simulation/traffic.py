@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from canser._binding import as_bytes
 from canser.frames import FRAME_DTYPE, FrameArray, concat
 
 __all__ = ["Damaged", "damage", "line_noise", "vehicle"]
@@ -106,7 +107,7 @@ def damage(
         if not 0 <= share <= 1:
             raise ValueError(f"{name} is {share}; it is a share of the bytes, from 0 to 1")
     rng = np.random.default_rng(seed)
-    clean = np.frombuffer(data, np.uint8)
+    clean = as_bytes(data)
     hits = np.flatnonzero(rng.random(len(clean)) < noise)
     kinds = rng.integers(0, 3, len(hits))
     noisy = clean.copy()
