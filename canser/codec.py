@@ -250,12 +250,10 @@ class Decoder:
     def _fill(
         self, source: Pointer, out: FrameArray, offsets: Offsets | None, threads: int
     ) -> tuple[int, int]:
-        """Decode all of `source` and its end into `out`.
+        """Decode all of `source` and its end into `out`; the arrays are checked.
 
         Returns the frames that are there, and those that it needs room for.
         """
-        _binding.output_frames(out)
-        _binding.output_offsets(offsets, len(out))
         sink = FixedArray(self.make_chunk, out, offsets)
         with self._lock:
             self._run(source, sink, ends=True, threads=threads)
@@ -372,19 +370,26 @@ def decode_with(
 ) -> FrameArray:
     """Decode a whole buffer by a new decoder, as `decode` does, without its warning."""
     source = _binding.input_bytes(data)
-    if out is None and offsets is None:
+    if out is not None:
+        _binding.output_frames(out)
+        _binding.output_offsets(offsets, len(out))
+        room, name = out, "out"
+    elif offsets is not None:
+        _binding.output_offsets(offsets, 0)
+        room, name = np.empty(len(offsets), FRAME_DTYPE), "offsets"
+    else:
         return decoder._collect(source, ends=True, threads=threads)
-    name = "out"
-    if out is None and offsets is not None:
-        name, out = "offsets", np.empty(len(offsets), FRAME_DTYPE)
-    assert out is not None
-    count, needed = decoder._fill(source, out, offsets, threads)
+    count, needed = decoder._fill(source, room, offsets, threads)
     if needed > count:
         raise ValueError(
             f"{name} has room for {count} frames, but the data holds {needed}; "
             f"make room for at least {needed}"
         )
-    return out[:count]
+    if out is not None:
+        return out[:count]
+    # What is too much is given back: nobody else has seen the array.
+    room.resize(count, refcheck=False)
+    return room
 
 
 @overload

@@ -280,6 +280,25 @@ def test_decode_says_how_much_room_is_needed(protocol: str) -> None:
         canser.decode(RAW[protocol], protocol, offsets=np.empty(5, np.int64))
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+def test_offsets_without_out_are_what_errors_name(threads: int) -> None:
+    none = np.empty(0, np.int64)
+    empty = canser.decode(b"", "serial", offsets=none, threads=threads)
+    assert (empty.shape, empty.dtype) == ((0,), FRAME_DTYPE)
+    with pytest.raises(ValueError, match=r"^offsets has room for 0 frames, but the data holds"):
+        canser.decode(RAW["serial"], "serial", offsets=none, threads=threads)
+    for wrong in (3, [1, 2], np.empty(4, np.int32)):
+        with pytest.raises(TypeError, match=r"^offsets must be an array"):
+            canser.decode(b"", "serial", offsets=wrong, threads=threads)  # type: ignore[arg-type]
+
+
+def test_with_offsets_alone_the_frames_are_a_new_array_of_just_the_size() -> None:
+    frames = canser.decode(RAW["seeed"], "seeed", offsets=np.empty(5 * len(SOME), np.int64))
+    assert same(frames, "seeed")
+    assert frames.base is None
+    assert frames.flags.owndata
+
+
 def test_room_is_enough_where_only_noise_follows() -> None:
     out = np.empty(len(SOME), FRAME_DTYPE)
     assert len(canser.decode(RAW["seeed"] + b"noise\xaa", "seeed", out=out)) == len(SOME)
