@@ -1,7 +1,9 @@
 """Every fault of a live port, produced: a clear error or a counted event, and nothing lost."""
 
 import contextlib
+import errno
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -138,6 +140,78 @@ def test_a_device_that_does_not_take_its_configuration() -> None:
             assert other.url != device.url
         canser.open(device.url, "seeed").close()
     assert descriptors() == before
+
+
+def test_where_no_thread_can_be_started_the_line_is_closed_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with Device() as device:
+        before = descriptors()
+        with monkeypatch.context() as patched:
+            patched.setattr(threading.Thread, "start", fail)
+            with pytest.raises(
+                canser.PortError, match=f"^{device.url}: can't start new thread; .*ulimit -u"
+            ):
+                canser.open(device.url, "seeed")
+        assert descriptors() == before
+        canser.open(device.url, "seeed").close()
+
+
+@pytest.mark.parametrize(
+    ("raised", "kind", "text"),
+    [
+        (OSError(errno.ENOMEM, "Cannot allocate memory"), canser.PortError, "Cannot allocate"),
+        (OSError(errno.EIO, "Input/output error"), canser.PortGoneError, "unplugged"),
+        (AttributeError("'NoneType' object"), canser.PortError, "AttributeError 'NoneType'"),
+        (ValueError(), canser.PortError, "ValueError"),
+    ],
+)
+def test_whatever_ends_the_thread_names_the_port(
+    monkeypatch: pytest.MonkeyPatch, raised: Exception, kind: type[Exception], text: str
+) -> None:
+    def fail(*_: object) -> None:
+        raise raised
+
+    with plugged() as (device, port):
+        with monkeypatch.context() as patched:
+            patched.setattr(os, "readv", fail)
+            device.feed(b"1")
+            with pytest.raises(kind, match=re.escape(device.url) + ".*" + text) as caught:
+                port.read_batch(timeout=PATIENCE)
+        assert type(caught.value) is kind
+
+
+def test_errors_of_writing_name_the_port_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(errno.ENOMEM, "Cannot allocate memory")
+
+    with plugged() as (device, port):
+        with monkeypatch.context() as patched:
+            patched.setattr(os, "write", fail)
+            with pytest.raises(canser.SendError) as caught:
+                port.send(traffic(1))
+        assert str(caught.value).startswith(f"{device.url}: Cannot allocate memory; 0 of ")
+        device.unplug()
+        until(lambda: port._link._line is None)
+        with pytest.raises(canser.SendError, match=f"^{device.url}: the device is gone; 0 of "):
+            port.send(traffic(1))
+        calls: list[Callable[[], int]] = [port.drain, lambda: port.bytes_unsent]
+        for call in calls:
+            with pytest.raises(canser.PortGoneError, match=f"^{device.url}: the device is gone"):
+                call()
+
+
+def test_a_descriptor_that_cannot_be_made_names_the_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail() -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    with plugged() as (device, port), monkeypatch.context() as patched:
+        patched.setattr(os, "pipe", fail)
+        with pytest.raises(canser.PortError, match=f"^{device.url}: Too many open files"):
+            port.fileno()
 
 
 # A device that comes back

@@ -35,6 +35,7 @@ FLOORS = [
     [
         "canser._binding",
         "canser._output",
+        "canser._threads",
         "canser.formats._text",
         "canser.formats.npy",
         "canser.live.line",

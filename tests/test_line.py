@@ -1,6 +1,8 @@
 """Lines of every kind: all bytes pass both ways, nothing is eaten, changed or flushed."""
 
 import contextlib
+import errno
+import fcntl
 import os
 import resource
 import socket
@@ -8,7 +10,7 @@ import subprocess
 import sys
 import termios
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Self
 
 import pytest
@@ -347,6 +349,92 @@ def test_what_cannot_be_opened(url: str, error: type[Exception], message: str) -
     with pytest.raises(error, match=message) as caught:
         open_line(url, 115_200)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("url", "error"),
+    [
+        ("hwgrep://no such port", PortNotFoundError),
+        ("hwgrep://.&foo", ValueError),
+        ("hwgrep://[", ValueError),
+        ("spy:///dev/no-such-port", PortNotFoundError),
+        ("spy:///dev/null?file=/no/such/folder", ValueError),
+        ("alt:///dev/no-such-port", PortNotFoundError),
+        ("alt:///dev/null?class=Nothing", ValueError),
+        ("loop://?bad", ValueError),
+        ("loop://?logging=bad", ValueError),
+        ("rfc2217://", ValueError),
+        ("rfc2217://host", ValueError),
+        ("rfc2217://host:port", ValueError),
+        ("rfc2217://127.0.0.1:1", PortNotFoundError),
+        ("rfc2217://127.0.0.1:1?bad", PortError),
+        ("rfc2217://no-such-host.invalid:1", PortNotFoundError),
+        ("socket://[::1:1", ValueError),
+        ("socket://127.0.0.1:1", PortNotFoundError),
+        ("socket://" + "a" * 300 + ":1", ValueError),
+        ("socket://a..b:1", ValueError),
+        ("unknown://x", ValueError),
+        ("a\0b", ValueError),
+        ("/dev/null", PortError),
+        ("/dev/full", PortError),
+        ("/etc/passwd/x", PortError),
+        ("/dev/" + "x" * 300, PortError),
+    ],
+)
+def test_every_error_of_opening_names_the_url(url: str, error: type[Exception]) -> None:
+    before = descriptors()
+    with pytest.raises(error) as caught:
+        open_line(url, 115_200)
+    text = str(caught.value)
+    assert url in text or repr(url) in text
+    assert "\n" not in text
+    assert "[Errno" not in text or "file=" in url
+    assert type(caught.value) in (ValueError, PortError, PortNotFoundError)
+    assert descriptors() == before
+
+
+def test_an_empty_url() -> None:
+    with pytest.raises(PortNotFoundError, match="url is empty"):
+        open_line("", 115_200)
+
+
+def test_without_a_free_descriptor_the_line_is_closed_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail() -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    with Device() as device, Server() as server:
+        before = descriptors()
+        with monkeypatch.context() as patched:
+            patched.setattr(os, "pipe", fail)
+            for url in (device.url, server.url):
+                with pytest.raises(PortError, match=f"{url}: Too many open files; .*ulimit -n"):
+                    open_line(url, 115_200)
+        # The server's own end may be there still, or not yet.
+        server.hang_up()
+        until(lambda: descriptors() <= before)
+        with opened(device.url):
+            pass
+
+
+def test_an_error_of_the_system_names_the_url(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+
+    with Device() as device, opened(device.url) as line:
+        device.write(b"1")
+        room = memoryview(bytearray(10))
+        calls: list[tuple[Any, str, Callable[[], int]]] = [
+            (os, "readv", lambda: line.read_into(room, PATIENCE)),
+            (os, "write", lambda: line.write(memoryview(b"1"), PATIENCE)),
+            (fcntl, "ioctl", line.unwritten),
+        ]
+        for module, name, call in calls:
+            with monkeypatch.context() as patched:
+                patched.setattr(module, name, fail)
+                with pytest.raises(PortError, match=f"^{device.url}: Cannot allocate memory$"):
+                    call()
 
 
 def test_a_rate_that_makes_no_sense() -> None:

@@ -68,40 +68,58 @@ def open_line(url: str, baudrate: int, *, flush: bool = False) -> Line:
     PortDeniedError, PortBusyError, PortError; ValueError for a URL or a baud rate that
     makes no sense.
     """
-    if urlsplit(url).scheme.lower() == "socket":
-        return _Descriptor(_connect(url), url)
-    port = _open_serial(url, baudrate, flush=flush)
-    if not _has_descriptor(port):
-        return _Serial(port, url)
+    if not url:
+        raise PortNotFoundError("url is empty: no port has that name; 'canser ports' lists some")
+    scheme = url.partition("://")[0].lower()
+    server = _server(url) if scheme in _OVER_TCP else None
+    if scheme == "socket":
+        assert server is not None
+        source: Any = _connect(url, *server)
+    else:
+        source = _open_serial(url, baudrate, flush=flush)
+        if not _has_descriptor(source):
+            return _Serial(source, url)
     try:
-        _make_raw(port.fd, url)
-        _claim(port.fd)
-        return _Descriptor(port, url)
+        if scheme == "socket":
+            source.setblocking(False)
+            source.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        else:
+            _make_raw(source.fd, url)
+            _claim(source.fd)
+        return _Descriptor(source, url)
     except (OSError, termios_error) as error:  # it may vanish at any time
-        port.close()
+        source.close()
         raise _open_error(url, baudrate, error) from None
     except BaseException:
-        port.close()
+        source.close()
         raise
 
 
-def _connect(url: str) -> socket.socket:
+# Lines that are connections to a server.
+_OVER_TCP: Final = ("socket", "rfc2217")
+
+
+def _server(url: str) -> tuple[str, int]:
+    """Return the host and the port of a URL, or raise ValueError."""
+    remedy = f"write {url.partition('://')[0]}://host:port"
     try:
         parts = urlsplit(url)
         host, number = parts.hostname, parts.port
+        (host or "").encode("idna")
     except ValueError as error:
-        raise ValueError(f"cannot read {url!r}: {error}; write socket://host:port") from None
+        raise ValueError(f"cannot read {url!r}: {error}; {remedy}") from None
     if not host or number is None:
-        raise ValueError(f"cannot read {url!r}: host or port is missing; write socket://host:port")
+        raise ValueError(f"cannot read {url!r}: host or port is missing; {remedy}")
+    return host, number
+
+
+def _connect(url: str, host: str, number: int) -> socket.socket:
     try:
-        connection = socket.create_connection((host, number), timeout=_CONNECT_PATIENCE)
+        return socket.create_connection((host, number), timeout=_CONNECT_PATIENCE)
     except OSError as error:
         raise PortNotFoundError(
             f"nobody answers at {url}: {error.strerror or error}; is the server running?"
         ) from None
-    connection.setblocking(False)
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return connection
 
 
 def _open_serial(url: str, baudrate: int, *, flush: bool) -> Any:
@@ -111,14 +129,19 @@ def _open_serial(url: str, baudrate: int, *, flush: bool) -> Any:
         port: Any = serial.serial_for_url(
             url, do_not_open=True, baudrate=baudrate, timeout=_LOOK_EVERY, exclusive=True
         )
-    except ValueError as error:
-        raise ValueError(f"cannot open {url!r} at {baudrate} baud: {error}") from None
+    except serial.SerialException as error:  # hwgrep:// has looked for the port already
+        raise PortNotFoundError(
+            f"there is no port {url}: {error}; 'canser ports' lists what is"
+        ) from None
+    # Each kind of URL reads its options in a way of its own, and raises what comes of that.
+    except Exception as error:  # noqa: BLE001
+        raise ValueError(f"cannot open {url!r} at {baudrate} baud: {_text(error)}") from None
     if not flush:
         # Opening throws away what waits there; these are what it calls for that.
         port.reset_input_buffer = port._reset_input_buffer = _nothing
     try:
         port.open()
-    except (OSError, ValueError, OverflowError, termios_error) as error:
+    except Exception as error:  # noqa: BLE001 - as above
         raise _open_error(url, baudrate, error) from None
     return port
 
@@ -132,22 +155,67 @@ termios_error: Final[type[Exception]] = termios.error if sys.platform != "win32"
 
 def _open_error(url: str, baudrate: int, error: Exception) -> Exception:
     """Return the error of this package for one of the system or pyserial."""
-    # Those of termios have their number in front, and nowhere else.
-    number = getattr(error, "errno", None) or next(iter(error.args), None)
-    if number in (errno.EACCES, errno.EPERM):
-        return PortDeniedError(f"{url} may not be opened by this user{_group_hint(url)}")
-    if number in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK):
-        return PortBusyError(f"{url} is open in another program; close it there")
-    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO):
-        return PortNotFoundError(
-            f"there is no port {url}; is the adapter plugged in? 'canser ports' lists what is"
-        )
-    if isinstance(error, (ValueError, OverflowError)):
-        return ValueError(f"cannot open {url!r} at {baudrate} baud: {error}")
+    number = _number(error)
+    kind: type[Exception] = PortError
+    if not isinstance(error, (OSError, termios_error)):
+        kind, text = ValueError, f"cannot open {url!r} at {baudrate} baud: {_text(error)}"
+    elif number and url.lower().startswith("rfc2217:"):
+        kind = PortNotFoundError
+        text = f"cannot open {url}: {_reason(error)}; is the server running?"
+    elif number in (errno.EACCES, errno.EPERM):
+        kind = PortDeniedError
+        text = f"{url} may not be opened by this user{_group_hint(url)}"
+    elif number in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK):
+        kind, text = PortBusyError, f"{url} is open in another program; close it there"
+    elif number in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO):
+        kind = PortNotFoundError
+        text = f"there is no port {url}; is the adapter plugged in? 'canser ports' lists what is"
+    elif number in (errno.EMFILE, errno.ENFILE):
+        text = f"cannot open {url}: {_reason(error)}; allow more with 'ulimit -n'"
+    elif _is_file(url):
+        text = f"{url} is no serial port; files are read by canser.read"
+    elif number == errno.ENOTTY:
+        text = f"{url} is no serial port; 'canser ports' lists what is"
+    else:
+        text = f"cannot open {url} at {baudrate} baud: {_reason(error)}"
+    return kind(text)
+
+
+def _is_file(url: str) -> bool:
+    """Return whether there is something of that name that is no device."""
     with contextlib.suppress(OSError):
-        if not stat.S_ISCHR(os.stat(url).st_mode):  # noqa: PTH116
-            return PortError(f"{url} is no serial port; files are read by canser.read")
-    return PortError(f"cannot open {url} at {baudrate} baud: {error}")
+        return not stat.S_ISCHR(os.stat(url).st_mode)  # noqa: PTH116
+    return False
+
+
+def _reason(error: Exception) -> str:
+    """Return what the system says, without its number and what pyserial adds."""
+    number = _number(error)
+    if number > 0:
+        return os.strerror(number)
+    # Those of names on the network have numbers of their own.
+    return getattr(error.__context__, "strerror", None) or _text(error)
+
+
+def _number(error: BaseException) -> int:
+    """Return the system's number of an error, or of the one that it came of; 0 for none."""
+    number = _own_number(error)
+    if not number and error.__context__ is not None:
+        number = _own_number(error.__context__)
+    return number
+
+
+def _own_number(error: BaseException) -> int:
+    # Those of termios have their number in front, and nowhere else.
+    found = getattr(error, "errno", None) or next(iter(error.args), None)
+    return found if isinstance(found, int) else 0
+
+
+def _text(error: Exception) -> str:
+    """Return what an error says: some of pyserial's are the name of a key, or nothing."""
+    if isinstance(error, LookupError) or not str(error):
+        return f"{type(error).__name__} {error}".strip()
+    return str(error)
 
 
 _GROUP_MAY: Final = stat.S_IRGRP | stat.S_IWGRP
@@ -319,13 +387,17 @@ class _Descriptor:
         os.write(self._waker, b"\0")
 
     def close(self) -> None:
-        self._source.close()
-        os.close(self._woken)
-        os.close(self._waker)
+        try:
+            self._source.close()
+        except OSError as error:
+            raise PortError(f"{self._url}: {error.strerror or error}") from None
+        finally:
+            os.close(self._woken)
+            os.close(self._waker)
 
     def _gone(self, error: OSError | None) -> Exception:
         if error is not None and error.errno not in _DEAD:
-            return error
+            return PortError(f"{self._url}: {error.strerror or error}")
         return _gone(self._url)
 
 
@@ -364,13 +436,19 @@ class _Serial:
         return len(piece) if written is None else int(written)
 
     def unwritten(self) -> int:
-        return int(getattr(self._port, "out_waiting", 0))
+        try:
+            return int(getattr(self._port, "out_waiting", 0))
+        except (OSError, TypeError) as error:  # TypeError: closed meanwhile
+            raise _gone(self._url) from error
 
     def wake(self) -> None:
         self._awake = True
 
     def close(self) -> None:
-        self._port.close()
+        try:
+            self._port.close()
+        except OSError as error:
+            raise PortError(f"{self._url}: {error.strerror or error}") from None
 
 
 def _left_behind(port: Any, most: int) -> bytes:

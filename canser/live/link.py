@@ -5,7 +5,8 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from canser.errors import CanserError, PortGoneError
+from canser._threads import start_thread
+from canser.errors import CanserError, PortError, PortGoneError
 from canser.live.line import Line
 from canser.live.ring import Ring, holds
 
@@ -39,14 +40,15 @@ _HOLD: Final = 0.05
 class Link:
     """An open line, and a thread that drains it into a ring as fast as bytes come.
 
-    `connect` opens the line and makes the device ready; it is called here, and again after
-    the line is gone if `reconnect`. `byte_s`: seconds that a byte takes on the line. `beat`,
+    `connect` opens the line of `url` and makes the device ready; it is called here, and again
+    after the line is gone if `reconnect`. `byte_s`: seconds that a byte takes on the line. `beat`,
     bytes, is sent every `beat_s` seconds. `clock` gives epoch nanoseconds. Raises what
-    `connect` raises.
+    `connect` raises, and PortError where the system starts no more threads.
     """
 
     def __init__(
         self,
+        url: str,
         connect: Callable[[], Line],
         ring: Ring,
         clock: Callable[[], int],
@@ -56,7 +58,7 @@ class Link:
         beat: bytes,
         beat_s: float,
     ) -> None:
-        self._connect, self._ring, self._clock = connect, ring, clock
+        self._url, self._connect, self._ring, self._clock = url, connect, ring, clock
         self._byte_s = byte_s
         self._reconnect, self._beat, self._beat_s = reconnect, beat, beat_s
         self.last_beat = 0  # when the last one went out on this line; 0: not yet
@@ -68,7 +70,11 @@ class Link:
         self._rest = memoryview(b"")  # of a packet whose start went out
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="canser link", daemon=True)
-        self._thread.start()
+        try:
+            start_thread(self._thread, url, PortError)
+        except PortError:
+            self._finish()
+            raise
 
     def write(
         self, data: bytes, timeout: float | None, lacks: Callable[[int], int]
@@ -104,7 +110,7 @@ class Link:
         """Return how many written bytes have not gone out; PortGoneError without a line."""
         with self._line_lock:
             if self._line is None:
-                raise PortGoneError(self._why_no_line())
+                raise PortGoneError(f"{self._url}: {self._why_no_line()}")
             return len(self._rest) + self._line.unwritten()
 
     def close(self) -> None:
@@ -146,7 +152,7 @@ class Link:
             except PortGoneError:
                 return 0, GONE
             except (CanserError, OSError) as error:
-                return 0, str(error)
+                return 0, str(error).removeprefix(f"{self._url}: ")
         if not count and left < _HOLD:
             return 0, NO_MORE
         return count, ""

@@ -185,6 +185,7 @@ class Port:
         # Nothing in the thread may hold the port: it would never be collected.
         self._greeting = _Greeting(greeting)
         self._link = Link(
+            url,
             _Connect(url, baudrate, self._greeting, flush=flush),
             self._ring,
             self._clock,
@@ -305,7 +306,10 @@ class Port:
         For select(), poll() and event loops; not to be read. POSIX only.
         """
         self._check_open()
-        return self._ring.fileno()
+        try:
+            return self._ring.fileno()
+        except OSError as error:  # no descriptor is left
+            raise PortError(f"{self.url}: {error.strerror or error}") from None
 
     def hold_ready(self, held: bool) -> None:
         """Keep that descriptor readable, for a caller who has frames left to hand on."""
@@ -584,8 +588,9 @@ class Port:
         if error is None:
             return None
         # A new one: it may be raised again and again, in several threads.
-        kind = type(error) if isinstance(error, PortError) else PortError
-        return kind(str(error))
+        if isinstance(error, PortError):
+            return type(error)(str(error))
+        return PortError(f"{self.url}: {type(error).__name__} {error}".rstrip())
 
     def _check_room(self, out: FrameArray | None, max_frames: int) -> FrameArray:
         if out is not None:
