@@ -18,7 +18,7 @@ from canser._binding import (
     output_room,
 )
 from canser._input import Input, Source
-from canser.codec import Decoder, check_threads, decode_with, protocols
+from canser.codec import Decoder, check_threads, decode_pieces, decode_with, protocols
 from canser.errors import CanserWarning
 from canser.frames import FRAME_DTYPE, FrameArray, copy_records, put_records
 from canser.judge import (
@@ -74,8 +74,8 @@ def blocks(
     a protocol; FormatError for a file of another format; RecordingError for pcapng that is
     none of canser's; ValueError for another protocol than a recording's own; TypeError for
     what is no path and no file open for reading bytes; OSError for a file that cannot be read,
-    or gets shorter meanwhile. (If it gets shorter while 8 MiB of it are decoded the system
-    ends the process: copy a file that another program may cut.)
+    or gets shorter meanwhile. (If it gets shorter in the milliseconds in which a block of it is
+    decoded the system ends the process: copy a file that another program may cut.)
     """
     if offsets is not None and out is None:
         raise ValueError("offsets goes with out: give both")
@@ -161,6 +161,8 @@ class Blocks(Iterator[FrameArray]):
         """Close the file, if `blocks` opened it. Done by itself at the end."""
         if self._blocks is not None:
             self._blocks.close()
+        if self._ended_doubt is None:
+            self._ended_doubt = ""  # bytes that were not read to their end are not judged
         self._input.close()
 
     @property
@@ -249,6 +251,7 @@ class Blocks(Iterator[FrameArray]):
         whole = self._input.map_whole()
         kept, start, window = 0, self._input.start, _input.WINDOW
         for _ in decoder.run_ahead(input_bytes(whole), sink, self._threads):
+            self._input.check_size()
             self.bytes_done = decoder.position
             for block in sink.take(last=False):
                 yield self._block(block, len(block))
@@ -278,6 +281,8 @@ class Blocks(Iterator[FrameArray]):
                 if count == len(out):
                     yield self._block(out, count)
                     (out, at), count = self._room(), 0
+                    if self._input.size is not None:  # the caller may have taken long
+                        self._input.check_size()
             # Bytes of a pipe may be long in coming: do not sit on frames.
             if count and self._input.size is None:
                 yield self._block(out, count)
@@ -434,9 +439,14 @@ def read(
             remarks = [f"{source.name}: {remark}" for remark in recorded.remarks]
         else:
             known, found = choose_protocol(protocol, source, as_is=as_is)
-            data = source.map_whole() if source.size is not None else _read_whole(source)
             decoder = Decoder(known, ts_unit="ms" if ts_unit is None else ts_unit)
-            frames = decode_with(decoder, data, offsets=offsets, threads=threads)
+            if source.total is None:
+                frames = decode_with(decoder, b"".join(_windows(source)), offsets=offsets)
+            elif threads == 1:
+                frames = decode_pieces(decoder, _windows(source), source.total, offsets)
+            else:
+                whole = source.map_whole()
+                frames = decode_with(decoder, whole, offsets=offsets, threads=threads)
             remarks = [f"{source.name}: {found}"] if found else []
         sample = source.sample() if recorded is None else recorded.head
         if not as_is and (doubt := describe_doubt(source.name, decoder, sample)):
@@ -446,14 +456,12 @@ def read(
         return frames
 
 
-def _read_whole(source: Input) -> bytes:
-    """Return all bytes of a file that cannot be mapped."""
-    pieces: list[memoryview] = []
+def _windows(source: Input) -> Iterator[memoryview]:
+    """Yield all bytes of a file, piece by piece."""
     at = 0
     while len(piece := source.some(at)):
-        pieces.append(piece)
+        yield piece
         at += len(piece)
-    return b"".join(pieces)
 
 
 def _open_recording(

@@ -380,16 +380,46 @@ def decode_with(
     else:
         return decoder._collect(source, ends=True, threads=threads)
     count, needed = decoder._fill(source, room, offsets, threads)
-    if needed > count:
-        raise ValueError(
-            f"{name} has room for {count} frames, but the data holds {needed}; "
-            f"make room for at least {needed}"
-        )
+    _check_room(name, len(room), needed)
     if out is not None:
         return out[:count]
-    # What is too much is given back: nobody else has seen the array.
+    # What is too much is given back: no other object refers to the array.
     room.resize(count, refcheck=False)
     return room
+
+
+def decode_pieces(
+    decoder: Decoder, pieces: Iterable[BytesLike], total: int, offsets: Offsets | None
+) -> FrameArray:
+    """Decode bytes that come in pieces, `total` in all, to their end, by a new decoder.
+
+    Each piece is read before the next one is asked for. The result and the errors are those of
+    `decode_with` for all bytes at once.
+    """
+    sink: FixedArray | GrowingArray
+    if offsets is None:
+        sink = GrowingArray(decoder.make_chunk, decoder._stream, total)
+    else:
+        _binding.output_offsets(offsets, 0)
+        room = np.empty(len(offsets), FRAME_DTYPE)
+        sink = FixedArray(decoder.make_chunk, room, offsets)
+    with decoder._lock:
+        for piece in pieces:
+            decoder._run(_binding.input_bytes(piece), sink, ends=False)
+        decoder._run(_binding.input_bytes(b""), sink, ends=True)
+    if isinstance(sink, GrowingArray):
+        return sink.result()
+    _check_room("offsets", len(room), sink.count)
+    room.resize(sink.count, refcheck=False)
+    return room
+
+
+def _check_room(name: str, room: int, needed: int) -> None:
+    if needed > room:
+        raise ValueError(
+            f"{name} has room for {room} frames, but the data holds {needed}; "
+            f"make room for at least {needed}"
+        )
 
 
 @overload

@@ -273,6 +273,26 @@ def test_a_file_that_gets_shorter_is_an_error(
             list(run)
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_file_that_gets_shorter_while_it_is_read_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int
+) -> None:
+    """It is cut by the time of its second window, or before it is mapped as a whole."""
+    monkeypatch.setattr(_input, "WINDOW", mmap.ALLOCATIONGRANULARITY)
+    path, _ = capture_of("serial", tmp_path)
+    check, calls = _input.Input.check_size, []
+
+    def cut(source: _input.Input) -> None:
+        calls.append(source)
+        if len(calls) == 2:
+            os.truncate(path, 5000)
+        check(source)
+
+    monkeypatch.setattr(_input.Input, "check_size", cut)
+    with pytest.raises(OSError, match=r"serial\.bin got shorter .*: 5,000 of"):
+        canser.read(path, "serial", threads=threads)
+
+
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="files of /proc are Linux's")
 def test_a_file_that_does_not_know_its_size_is_read_as_a_pipe() -> None:
     path = Path("/proc/self/environ")
