@@ -1,6 +1,7 @@
-"""What the tests share: Hypothesis' settings, and a decoder whose every call is watched."""
+"""What the tests share: settings, signals, and a decoder whose every call is watched."""
 
 import os
+import signal
 from collections.abc import Iterable, Iterator
 from itertools import cycle
 
@@ -16,6 +17,26 @@ hypothesis.settings.register_profile(
     "canser", deadline=None, max_examples=80, derandomize=bool(os.environ.get("CI"))
 )
 hypothesis.settings.load_profile("canser")
+
+# These Python ignores by itself, and a child of `subprocess` does not.
+PYTHONS_OWN = {getattr(signal, name, None) for name in ("SIGPIPE", "SIGXFSZ")}
+
+
+def restore_signals() -> None:
+    """Give signals that the parent of the tests let be ignored their default action.
+
+    `make test &` in a script ignores SIGINT, nohup SIGHUP. Children inherit that, a command
+    of canser's honours it, and the tests that end commands with signals would wait in vain.
+    A handler is not inherited. So children start with all defaults; the tests themselves are
+    interrupted by SIGINT, and go on after the others, as the parent wished.
+    """
+    for number in signal.valid_signals() - PYTHONS_OWN:
+        if signal.getsignal(number) is signal.SIG_IGN:
+            interrupt = number == signal.SIGINT
+            signal.signal(number, signal.default_int_handler if interrupt else lambda *_: None)
+
+
+restore_signals()
 
 
 class Run:
