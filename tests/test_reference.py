@@ -7,7 +7,6 @@ reference.
 
 import random
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +16,7 @@ from hypothesis import strategies as st
 
 import canser
 import reference
+import shared
 from conftest import Run, assert_agree
 from reference import ID_EXT_MAX, ID_MAX, NO_TIME, TICK_NS, Frame
 
@@ -531,8 +531,6 @@ def test_reset_forgets_everything(protocol: str, data: st.DataObject) -> None:
 
 # --- captures ---
 
-CAPTURES = Path(__file__).parents[2] / "shared" / "captures"
-
 # Captures without noise hold every frame of their log, and no byte outside a frame.
 FRAME_COUNTS = {"car": 82_558, "tesla": 12_974, "boat": 12_274}
 
@@ -554,12 +552,10 @@ every_capture = pytest.mark.parametrize("name", NAMES)
 
 def capture(name: str) -> tuple[bytes, str]:
     """Return the bytes of a capture and its protocol."""
-    path = CAPTURES / f"{name}.bin"
-    if not path.exists():
-        pytest.skip(f"the capture {path.name} is not in the folder ../shared/captures")
-    return path.read_bytes(), name.partition(".")[2]
+    return (shared.CAPTURES / f"{name}.bin").read_bytes(), name.partition(".")[2]
 
 
+@shared.needs_captures
 @every_capture
 def test_start_of_capture(name: str) -> None:
     stream, protocol = capture(name)
@@ -578,6 +574,7 @@ def test_start_of_capture(name: str) -> None:
     assert canser.decode(stream, protocol, threads=2).tobytes() == reference.pack(expected.frames)
 
 
+@shared.needs_captures
 @pytest.mark.parametrize("name", [name for name in NAMES if "noisy" not in name])
 def test_whole_capture(name: str) -> None:
     stream, protocol = capture(name)
@@ -587,6 +584,7 @@ def test_whole_capture(name: str) -> None:
     assert decoder.stats.bytes_framed == len(stream)
 
 
+@shared.needs_captures
 @every_capture
 @settings(max_examples=15)
 @given(data=st.data())
