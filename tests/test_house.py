@@ -30,6 +30,7 @@ FLOORS = [
         "canser.recordings.pcapng",
         "canser.restarts",
         "canser.simulation",
+        "canser.simulation._ahead",
         "canser.live.ring",
     ],
     [

@@ -1,5 +1,6 @@
 """When a simulated adapter sends: its schedule, by a clock that the tests set."""
 
+import time
 from collections.abc import Iterable, Iterator
 
 import numpy as np
@@ -44,6 +45,9 @@ def run(out: Outgoing, until: int) -> Iterator[tuple[int, bytes]]:
     """Send as the simulator does, by a clock that is never late; yield what goes out when."""
     now = 0
     while out.ready() and now <= until:
+        while out.starved:  # a thread takes the parts of an iterable
+            time.sleep(0.001)
+            out.ready()
         yield now, sent(out, now)
         now += out.wait_ns(now)
 

@@ -127,6 +127,42 @@ def test_traffic_in_parts_of_any_size() -> None:
         assert one.read_all(device) == canser.encode(FRAMES, "seeed")
 
 
+def test_traffic_that_does_not_come_keeps_neither_answers_nor_the_end() -> None:
+    more = threading.Event()
+
+    def parts() -> Iterator[FrameArray]:
+        yield FRAMES[:10]
+        more.wait(PATIENCE)
+
+    ping = adapters.ping("cantalope")
+    with Simulator("cantalope", parts(), pace="max") as device, host(device) as one:
+        one.read(len(canser.encode(FRAMES[:10], "cantalope")))
+        assert not device.finished
+        one.write(ping)
+        assert one.read(len(ping)) == ping
+        device.stop()
+        assert device.wait(PATIENCE)
+        more.set()
+
+
+def test_late_traffic_goes_on_by_its_times_without_a_burst() -> None:
+    more = threading.Event()
+    frames = timed(*(n * 10_000_000 for n in range(20)))
+
+    def parts() -> Iterator[FrameArray]:
+        yield frames[:10]
+        more.wait(PATIENCE)
+        yield frames[10:]
+
+    with Simulator("serial", parts()) as device, host(device) as one:
+        one.read(len(canser.encode(frames[:10], "serial")))
+        time.sleep(0.3)  # longer than what is left
+        begin = time.monotonic()
+        more.set()
+        one.read_all(device)
+        assert time.monotonic() - begin >= 0.08
+
+
 def test_nothing_is_sent_before_a_host_has_opened_it_and_none_when_it_is_gone() -> None:
     with Simulator("seeed", FRAMES, pace="max") as device:
         assert not device.connected

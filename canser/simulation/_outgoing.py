@@ -10,6 +10,7 @@ import numpy.typing as npt
 from canser.adapters import Report
 from canser.codec import decode, encode
 from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, refuse_mask
+from canser.simulation._ahead import Ahead
 from canser.simulation.traffic import damage
 
 __all__ = ["Block", "Counts", "Outgoing", "rounds"]
@@ -217,7 +218,9 @@ class Outgoing:
 
     `timed`: the traffic goes out by its times; None: if any of the first frames has one, and
     then it is set. What `next` returns is offered, and what `wrote` says of it has gone.
-    `answering` counts the bytes of answers that wait.
+    `answering` counts the bytes of answers that wait. Traffic that is no array is taken ahead
+    by a thread, for to read and to parse it takes longer than two frames are apart; `starved`:
+    no more of it has come yet.
     """
 
     def __init__(
@@ -236,6 +239,8 @@ class Outgoing:
         self._protocol, self._ts_unit = protocol, ts_unit
         self._noise, self._loss, self._seed = noise, loss, seed
         self._traffic = rounds(traffic, loop=loop)
+        self._ahead = None if isinstance(traffic, np.ndarray) else Ahead(self._traffic)
+        self.starved = False
         self.timed = timed
         self._begun = False  # the first frames have been looked at
         self._config: Report | None = None
@@ -272,17 +277,23 @@ class Outgoing:
 
     def end(self) -> None:
         """End the traffic behind the frame that is going out."""
-        self._traffic.close()
+        if self._ahead is None:
+            self._traffic.close()
+        else:
+            self._ahead.end()
         frames, due = self._chunk
         self._chunk, self._rest, self._renewing = (frames[:0], due[:0]), None, True
 
     def close(self) -> None:
         """Let go of the traffic."""
-        self._traffic.close()
+        if self._ahead is None:
+            self._traffic.close()
+        else:
+            self._ahead.close()
 
     def ready(self) -> bool:
         """Return whether there is anything to send, now or later."""
-        return bool(self._answers) or self._load() is not None
+        return bool(self._answers) or self._load() is not None or self.starved
 
     def next(self, room: int, elapsed_ns: int) -> memoryview:
         """Return the next bytes to send, `room` at most; none if none are due."""
@@ -325,7 +336,7 @@ class Outgoing:
         self._answer_begun, self.answering = False, 0
 
     def _load(self) -> Block | None:
-        """Return the block to send from; None when all has gone."""
+        """Return the block to send from; None when all has gone, or it is starved."""
         block = self._block
         if self._renewing and block is not None and block.sent == block.boundary():
             self._cut()
@@ -336,11 +347,19 @@ class Outgoing:
             self._renewing = False
             chunk, self._rest = self._rest, None
             if chunk is None:
-                chunk = next(self._traffic, None)
+                chunk = self._next_chunk()
             if chunk is None:
                 return None
             self._encode(*chunk)
         return self._block
+
+    def _next_chunk(self) -> tuple[FrameArray, _Times] | None:
+        if self._ahead is None:
+            return next(self._traffic, None)
+        # The first frames are waited for: they tell by what they are to be paced.
+        chunk = self._ahead.take(wait=not self._begun)
+        self.starved = chunk is None and not self._ahead.ended
+        return chunk
 
     def _cut(self) -> None:
         """Take leave of the block; the frames behind the one going out are the rest."""

@@ -91,7 +91,8 @@ class Simulator:
     FRAME_DTYPE, or an iterable of such; with `loop` over and over, their times going on.
     Sending begins when a host has opened `url`: as soon as the host has flushed its input, or
     0.1 s later. It pauses while nobody has it open and while the terminal is full; so nothing
-    is lost that is not lost on purpose.
+    is lost that is not lost on purpose. An iterable is taken ahead, by a thread; it pauses while
+    no more has come.
 
     `pace`: "traffic" sends by the frames' times, as an adapter on a bus does; a frame without
     a time goes out with the one before it. "line" sends as fast as the serial line of
@@ -209,6 +210,7 @@ class Simulator:
             os.set_blocking(self._wake_in, False)
             self._plug()
             opening.callback(self._hang_up)
+            opening.callback(self._out.close)
             self._out.ready()  # takes the first frames, and so the pace is known
             opening.pop_all()
         self._thread = threading.Thread(target=self._serve, name="canser simulator", daemon=True)
@@ -531,6 +533,9 @@ class Simulator:
             room = min(room, stop - self._bytes_sent)
         while room > 0:
             piece = self._out.next(room, self._elapsed_ns)
+            if not piece and self._out.starved:
+                self._sending = False  # the time stands still, so that no burst follows
+                return _TICK_NS
             if not piece:
                 return self._out.wait_ns(self._elapsed_ns)
             taken = terminal.write(piece)

@@ -1,0 +1,76 @@
+"""Parts of an iterable that a thread takes before they are asked for."""
+
+import queue
+import threading
+from collections.abc import Generator
+from typing import Generic, TypeVar
+
+__all__ = ["Ahead"]
+
+_Part = TypeVar("_Part")
+
+# Parts that are taken ahead. A text file is parsed in blocks of 16,384 frames, four parts, in
+# some 0.2 s: two blocks, so that there is one to send while the next is parsed.
+_PARTS = 8
+
+# A thread whose source waits for bytes of a pipe cannot be ended: it is left to the end of the
+# process after this time. Any other has its part by then.
+_JOIN_S = 1.0
+
+
+class Ahead(Generic[_Part]):
+    """The parts of a generator, some of them taken ahead by a thread; `ended` after the last."""
+
+    def __init__(self, parts: Generator[_Part]) -> None:
+        self.ended = False
+        self._parts = parts
+        self._room = threading.Semaphore(_PARTS)
+        self._queue: queue.SimpleQueue[_Part | BaseException | None] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+
+    def take(self, *, wait: bool) -> _Part | None:
+        """Return the next part; None if there is none, without `wait` if there is none yet.
+
+        Raises what the generator has raised.
+        """
+        if self.ended:
+            return None
+        if self._thread is None:
+            self._thread = threading.Thread(
+                target=self._run, name="canser simulator traffic", daemon=True
+            )
+            self._thread.start()
+        try:
+            part = self._queue.get(block=wait)
+        except queue.Empty:
+            return None
+        self._room.release()
+        if part is None or isinstance(part, BaseException):
+            self.ended = True
+        if isinstance(part, BaseException):
+            raise part
+        return part
+
+    def end(self) -> None:
+        """Take no more, and drop what was taken ahead."""
+        self.ended = True
+        self._room.release()
+
+    def close(self) -> None:
+        """End, and end the thread."""
+        self.end()
+        if self._thread is not None:
+            self._thread.join(_JOIN_S)
+
+    def _run(self) -> None:
+        last: BaseException | None = None
+        try:
+            for part in self._parts:
+                self._queue.put(part)
+                self._room.acquire()
+                if self.ended:
+                    break
+            self._parts.close()
+        except BaseException as error:  # noqa: BLE001 - raised again where the part is taken
+            last = error
+        self._queue.put(last)
