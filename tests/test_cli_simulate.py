@@ -179,6 +179,32 @@ def test_seconds_beyond_a_round_go_on(tmp_path: Path) -> None:
     assert frames["ts"].max() >= 60_900_000_000
 
 
+def test_a_pipe_that_gives_no_more_does_not_keep_it(tmp_path: Path) -> None:
+    frames = vehicle(1)
+    clean = canser.encode(frames, "serial")
+    with subprocess.Popen(
+        arguments("-p", "serial", "--traffic", "-", "--pace", "max", "--link", "device"),
+        cwd=tmp_path,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write(clean)
+        process.stdin.flush()
+        assert process.stdout.readline() == b"device\n"
+        # The pipe stays open: more might come.
+        assert len(read(str(tmp_path / "device"), 10_000)) == 10_000
+        process.send_signal(signal.SIGTERM)
+        process.wait(PATIENCE)
+        assert process.stderr is not None
+        said = process.stderr.read().decode().splitlines()
+    assert process.returncode == GOOD, said
+    assert said[0].endswith("bytes sent")
+    assert all(line.startswith("not read by the host") for line in said[1:])
+
+
 def test_traffic_is_made_before_any_of_it_is_due(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[float] = []
 

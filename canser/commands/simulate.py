@@ -3,7 +3,9 @@
 import argparse
 import contextlib
 import dataclasses
+import io
 import json
+import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -145,6 +147,10 @@ def run(args: argparse.Namespace) -> int:
             check_apart(written, *others)
             others.append(written)
     with contextlib.ExitStack() as files:
+        if args.traffic == "-" and isinstance(sys.stdin, io.TextIOWrapper):
+            # A thread may wait for more of its bytes, and then holds the lock of the buffer.
+            # Otherwise Python, which closes sys.stdin at its end, would abort without the lock.
+            files.callback(sys.stdin.detach)
         copy: BinaryIO | None = None
         if args.copy is not None:
             copy = files.enter_context(whole_file(args.copy, force=args.force))
