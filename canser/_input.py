@@ -1,10 +1,13 @@
 """Files to read: opened, mapped where they can be, their bytes by offset in bounded memory."""
 
+import errno
 import io
 import mmap
 import os
 import stat
 from typing import BinaryIO, Self, cast
+
+from canser._named import named
 
 __all__ = ["WINDOW", "Input", "Source"]
 
@@ -46,7 +49,8 @@ class Input:
             self._opened = cast(BinaryIO, open(source, "rb", buffering=0))  # noqa: PTH123, SIM115
             self.name = os.fsdecode(source)
         else:
-            self.name = str(getattr(source, "name", "the file"))
+            name = getattr(source, "name", "the file")
+            self.name = "standard input" if name == "<stdin>" else str(name)
         self.file: BinaryIO = self._opened or cast(BinaryIO, source)
         self.size = _regular_size(self.file)  # None for what cannot be mapped
         self.start = 0 if self.size is None else self.file.tell()
@@ -96,7 +100,8 @@ class Input:
         if self.size <= self.start:
             return memoryview(b"")  # nothing is there to be mapped
         self.check_size()
-        whole = mmap.mmap(self.file.fileno(), self.size, access=mmap.ACCESS_READ)
+        with named(self.name):
+            whole = mmap.mmap(self.file.fileno(), self.size, access=mmap.ACCESS_READ)
         return memoryview(whole)[self.start :]
 
     def sample(self) -> memoryview:
@@ -109,18 +114,24 @@ class Input:
         size = os.fstat(self.file.fileno()).st_size
         if size < self.size:
             raise OSError(
-                f"{self.name} got shorter while it was read: {size:,} of {self.size:,} bytes are "
-                "left; copy a file that another program changes, and read the copy"
+                errno.EIO,
+                f"it got shorter while it was read: {size:,} of {self.size:,} bytes are left; copy "
+                "a file that another program changes, and read the copy",
+                self.name,
             )
 
     def _move(self, offset: int, length: int) -> None:
-        if self.size is None:
-            self._read_on(offset, length)
-            return
+        with named(self.name):
+            if self.size is None:
+                self._read_on(offset, length)
+            else:
+                self._map(self.size, offset, length)
+
+    def _map(self, size: int, offset: int, length: int) -> None:
         self.check_size()
         place = self.start + offset
         aligned = place - place % mmap.ALLOCATIONGRANULARITY
-        end = min(max(aligned + WINDOW, place + length), self.size)
+        end = min(max(aligned + WINDOW, place + length), size)
         self._base, self._view = offset, memoryview(b"")
         if end > place:
             # The map goes when nobody holds the view any more.

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO, cast
 
+from canser._named import NamedFile, named
 from canser.errors import StreamClosedError
 
 
@@ -23,27 +24,11 @@ class ReaderGoneError(BrokenPipeError):
     """The reader of the standard output has ended. That is no failure: `canser dump | head`."""
 
 
-class _Named(io.FileIO):
-    """A file for writing whose errors name it."""
-
-    def __init__(self, file: str | int, name: str) -> None:
-        super().__init__(file, "w", closefd=isinstance(file, str))
-        self._known_as = name
-
-    def write(self, data: Any) -> int:
-        """Write a part of the bytes at least."""
-        try:
-            return super().write(data)
-        except OSError as error:
-            error.filename = self._known_as
-            raise
-
-
-class _StandardOutput(_Named):
+class _StandardOutput(NamedFile):
     """The standard output, whose reader may end at any time."""
 
     def __init__(self) -> None:
-        super().__init__(sys.stdout.fileno(), "standard output")
+        super().__init__(sys.stdout.fileno(), "wb", "standard output")
 
     def write(self, data: Any) -> int:
         """Write a part of the bytes at least; ReaderGoneError without a reader."""
@@ -62,7 +47,8 @@ def standard_output() -> Iterator[BinaryIO]:
     """
     if sys.stdout is None:
         raise StreamClosedError("the standard output is closed; open it, or name a file")
-    sys.stdout.flush()
+    with named("standard output"):
+        sys.stdout.flush()
     with io.BufferedWriter(_StandardOutput()) as file:
         yield cast(BinaryIO, file)
 
@@ -116,24 +102,22 @@ def whole_file(path: str, *, force: bool) -> Iterator[BinaryIO]:
         return
     target = Path(path)
     if target.exists() and not target.is_file():
-        with io.BufferedWriter(_Named(path, path)) as file:
+        with io.BufferedWriter(NamedFile(path, "wb", path)) as file:
             yield cast(BinaryIO, file)
         return
     target = Path(os.path.realpath(path))  # a link stays a link
     _check_free(target, path, force=force)
     partial = target.with_name(f".canser-{secrets.token_hex(4)}.part")
+    raw = NamedFile(str(partial), "xb", path)
     try:
-        opened = partial.open("xb")
-    except OSError as error:  # named as the caller knows it
-        raise type(error)(error.errno, error.strerror, path) from None
-    try:
-        with opened as file:
+        with io.BufferedWriter(raw) as file:
             yield file
             file.flush()
-        if target.exists():
-            shutil.copymode(target, partial)
         _check_free(target, path, force=force)
-        partial.replace(target)
+        with named(path, always=True):
+            if target.exists():
+                shutil.copymode(target, partial)
+            partial.replace(target)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise

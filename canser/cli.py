@@ -113,6 +113,10 @@ def _run(argv: Sequence[str] | None) -> int:
         return _fail(BAD_CALL, error)
     except (DataError, CanserError, ValueError, OSError) as error:
         return _fail(BAD_DATA, error)
+    except RuntimeError as error:
+        if "start new thread" not in str(error):
+            raise
+        return _fail(BAD_DATA, CanserError(f"{error}: allow more with 'ulimit -u'"))
 
 
 def _fail(code: int, error: Exception) -> int:
@@ -120,5 +124,7 @@ def _fail(code: int, error: Exception) -> int:
         text = f"{error.filename}: {error.strerror}"
     else:
         text = str(error)
-    say(f"canser: {text}")
+    # A name may have any character, and a message is one line.
+    line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    say(f"canser: {line}")
     return code

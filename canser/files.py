@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import PurePath
 from typing import BinaryIO, Final, Self
 
+from canser._named import named
 from canser.captures import Blocks
 from canser.codec import Decoder
 from canser.errors import StreamClosedError
@@ -82,7 +83,8 @@ class FrameFile(Iterator[FrameArray]):
         return self
 
     def __next__(self) -> FrameArray:
-        return next(self._blocks)
+        with named(self.name):
+            return next(self._blocks)
 
     def __enter__(self) -> Self:
         return self

@@ -16,6 +16,9 @@ PACKAGE = Path(canser.__file__).parent
 # The floors of the house. A module imports from the floors below its own only.
 FLOORS = [
     [
+        "canser._named",
+    ],
+    [
         "canser._core",
         "canser._input",
         "canser._progress",

@@ -18,6 +18,7 @@ import time
 from pathlib import Path
 from typing import Final
 
+from canser._named import named
 from canser.errors import PortError
 
 __all__ = ["Link", "Terminal"]
@@ -209,11 +210,10 @@ class Link:
                 errno.EEXIST, "there already, and no link to a terminal", str(self._path)
             )
         fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
-        try:
+        # The error names the terminal, which is not at fault.
+        with named(str(self._path), always=True):
             fresh.symlink_to(target)
-        except OSError as error:  # names the terminal, which is not at fault
-            raise type(error)(error.errno, error.strerror, str(self._path)) from None
-        fresh.replace(self._path)
+            fresh.replace(self._path)
         self._target = target
 
     def remove(self) -> None:
