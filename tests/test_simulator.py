@@ -19,6 +19,7 @@ from canser import adapters
 from canser.frames import FrameArray
 from canser.simulation.simulator import Simulator, SimulatorReport
 from canser.simulation.traffic import Damaged, damage, vehicle
+from device import descriptors
 from reference import NO_TIME, Frame
 from samples import array, listed, timed
 
@@ -781,3 +782,26 @@ def same_frames(found: list[object], frames: FrameArray) -> bool:
     return messages == [
         (f["id"], f["ext"], f["dlc"], f["data"].tobytes()[: f["dlc"]]) for f in frames
     ]
+
+
+def test_where_no_thread_can_be_started_nothing_is_left_open(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def fail(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    before, link = descriptors(), tmp_path / "link"
+    monkeypatch.setattr(threading.Thread, "start", fail)
+    with pytest.raises(canser.PortError, match=r"the simulator: can't start new thread; .*ulimit"):
+        Simulator("seeed", link=str(link)).__enter__()
+    assert descriptors() == before
+    assert not link.is_symlink()
+
+
+def test_without_a_free_terminal_the_error_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail() -> None:
+        raise OSError("out of pty devices")
+
+    monkeypatch.setattr(os, "openpty", fail)
+    with pytest.raises(OSError, match="a new pseudo terminal: out of pty devices"):
+        Simulator("seeed").__enter__()

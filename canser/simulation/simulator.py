@@ -15,8 +15,11 @@ from typing import BinaryIO, Final, Self
 import numpy as np
 
 from canser import adapters
+from canser._named import named
+from canser._threads import start_thread
 from canser.adapters import Report
 from canser.codec import Decoder, encode
+from canser.errors import PortError
 from canser.frames import FRAME_DTYPE, FrameArray, concat, copy_records
 from canser.simulation._outgoing import Outgoing
 from canser.simulation._terminal import Link, Terminal
@@ -212,9 +215,10 @@ class Simulator:
             opening.callback(self._hang_up)
             opening.callback(self._out.close)
             self._out.ready()  # takes the first frames, and so the pace is known
+            thread = threading.Thread(target=self._serve, name="canser simulator", daemon=True)
+            start_thread(thread, "the simulator", PortError)
             opening.pop_all()
-        self._thread = threading.Thread(target=self._serve, name="canser simulator", daemon=True)
-        self._thread.start()
+        self._thread = thread
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -557,7 +561,8 @@ class Simulator:
         return min(stops, default=None)
 
     def _plug(self) -> None:
-        terminal = Terminal()
+        with named("a new pseudo terminal"):
+            terminal = Terminal()
         try:
             self._link.point(terminal.path)
         except BaseException:
