@@ -82,10 +82,10 @@ class Running:
 
 
 @contextlib.contextmanager
-def running(folder: Path, *arguments: str, **more: Any) -> Iterator[Running]:
-    """Run a command of canser."""
+def running(folder: Path, *arguments: str, python: str = "", **more: Any) -> Iterator[Running]:
+    """Run a command of canser; `python`: by code that calls `main` of canser.cli."""
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    call = [sys.executable, "-m", "canser", *arguments]
+    call = [sys.executable, *(["-c", python] if python else ["-m", "canser"]), *arguments]
     process: Any = subprocess.Popen(call, cwd=folder, **pipes | more)
     with process:
         run = Running(process)

@@ -205,6 +205,53 @@ def test_a_full_disk_stops_it_loudly(tmp_path: Path, device: "Device", more: lis
     assert received <= len(got) + missing <= 200_000
 
 
+@pytest.mark.usefixtures("device")
+def test_a_disk_that_is_full_from_the_start_is_told_with_the_file(tmp_path: Path) -> None:
+    def bound() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+
+    with running(tmp_path, *log("run.pcapng"), preexec_fn=bound) as run:
+        assert run.end() == BAD_DATA
+    path = tmp_path / "run.pcapng"
+    assert run.err[-1] == f"canser: STOPPED: {path}: File too large; nothing is recorded"
+    assert not path.exists()
+
+
+# Runs the command on a disk that takes no more syncs once a file is there.
+BAD_DISK = """
+import errno, os, sys
+from canser.cli import main
+
+plain = os.fdatasync
+
+def fdatasync(fd):
+    if os.path.exists("bad"):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+    plain(fd)
+
+os.fdatasync = fdatasync
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="fdatasync is not everywhere")
+def test_a_disk_that_fails_leaves_the_last_bytes_unsure(tmp_path: Path, device: "Device") -> None:
+    with running(tmp_path, *log("--json", "run.pcapng"), python=BAD_DISK) as run:
+        run.wait_object("opened")
+        device.write(RAW[:1000])
+        run.wait_object("status", bytes=1000)
+        (tmp_path / "bad").touch()
+        device.write(RAW[1000:1500])
+        assert run.end() == BAD_DATA
+    (end,) = run.objects("end")
+    unsure = end["bytes"] - end["recorded"]
+    assert 0 < unsure <= 1500
+    path = tmp_path / "run.pcapng"
+    text = f"STOPPED: {path}: Input/output error; the last {unsure:,} bytes may not be on the disk"
+    assert end["error"] == text
+    assert run.err == [f"canser: {text}"]
+
+
 @pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, reason="needs a small tmpfs")
 def test_a_full_tmpfs(tmp_path: Path, device: "Device") -> None:
     disk = tmp_path / "disk"

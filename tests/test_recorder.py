@@ -1,5 +1,6 @@
 """Bytes in, files out: no port, and no clock but the one that the tests make."""
 
+import errno
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -402,3 +403,28 @@ def test_a_full_disk_leaves_a_good_file_and_ends_it(tmp_path: Path, turns: bool)
     (path,) = tmp_path.iterdir()
     assert content(path) == RAW[:full]
     assert os.path.getsize(path) <= 8_000  # noqa: PTH202
+
+
+@pytest.mark.skipif(not hasattr(os, "fdatasync"), reason="fdatasync is not everywhere")
+def test_a_failed_sync_ends_it_and_the_rest_is_unsure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO)
+    recorder.start(START)
+    feed(recorder, RAW[: ENDS[500]])
+    recorder.advance(recorder.bytes_in, START + 100 * SECOND)
+    synced = recorder.bytes_recorded
+
+    def fail(_: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fdatasync", fail)
+        recorder.write(b"unsure", START + 200 * SECOND)
+        with pytest.raises(OSError, match="Input/output error") as caught:
+            recorder.advance(recorder.bytes_in, START + 201 * SECOND)
+        assert recorder.bytes_recorded == synced
+    recorder.close()
+    assert caught.value.filename == str(tmp_path / "run.pcapng")
+    assert (recorder.bytes_recorded, recorder.bytes_unsure) == (synced, 6)
+    assert recorder.bytes_in == synced + 6

@@ -11,7 +11,8 @@ With --json each line on standard output is an object with a `type` and a `time`
              resyncs: runs of skipped bytes; lost: bytes that came while the ring was full;
              gaps, gaps_unknown: places where bytes are missing, and those of unknown length
              ring: how full it is, 0 to 1
-             recorded, not_recorded: bytes on the disk, and far from any trigger
+             recorded, not_recorded: bytes in files, at the end those that are on the disk for
+               sure, and bytes far from any trigger
              triggers; files: that were opened; file: the open one, or ""
              lines_dropped: objects that are missing, because those before them were not read
     opened, closed, deleted    a file: path
@@ -485,11 +486,13 @@ class _Log:
 
 def _disk_error(error: OSError, recorder: Recorder) -> Exception:
     missing = recorder.bytes_in - recorder.bytes_recorded - recorder.bytes_passed
-    file = error.filename or recorder.last_file
-    return OSError(
-        f"STOPPED: {file}: {error.strerror or error}; what was written is good, "
-        f"the last {missing:,} bytes are not in it"
-    )
+    if not recorder.files:
+        rest = "nothing is recorded"
+    elif recorder.bytes_unsure:
+        rest = f"the last {missing:,} bytes may not be on the disk"
+    else:
+        rest = f"what was written is good, the last {missing:,} bytes are not in it"
+    return OSError(f"STOPPED: {error.filename}: {error.strerror}; {rest}")
 
 
 def _gap_text(gap: Gap) -> str:

@@ -73,7 +73,7 @@ class Recorder:
 
     FileExistsError, FileNotFoundError, PermissionError for a path that will not do: by the
     constructor, which makes no file. OSError of the disk from `start`, `advance` and `close`:
-    what was written is good, and nothing more is written.
+    nothing more is written then, `bytes_recorded` are on the disk, and `bytes_unsure` may be.
     """
 
     def __init__(
@@ -105,6 +105,7 @@ class Recorder:
 
         self.bytes_in = 0
         self.bytes_passed = 0  # not recorded on purpose: no trigger was near
+        self.bytes_unsure = 0  # written, but not known to be on the disk
         self.triggers = 0
         self.files = 0  # that were opened
         self.out_of_memory = False  # MEMORY was too small for all that came before a trigger
@@ -125,8 +126,11 @@ class Recorder:
 
     @property
     def bytes_recorded(self) -> int:
-        """Bytes of the line in files."""
-        return self._recorded + (0 if self._writer is None else self._writer.bytes_written)
+        """Bytes of the line in files, after an error those that are on the disk for sure."""
+        if self._writer is None:
+            return self._recorded
+        writer = self._writer
+        return self._recorded + (writer.bytes_synced if self._broken else writer.bytes_written)
 
     @property
     def file(self) -> str:
@@ -320,7 +324,8 @@ class Recorder:
             with self._breaking():
                 writer.close()
         finally:
-            self._recorded += writer.bytes_written
+            self._recorded += writer.bytes_synced
+            self.bytes_unsure += writer.bytes_written - writer.bytes_synced
             self._writer, self._file = None, ""
             self.events.append(Event("closed", file, self._last_ns))
 
