@@ -30,6 +30,7 @@ FLOORS = [
         "canser.monitoring",
         "canser.python_can",
         "canser.recordings",
+        "canser.recordings._lock",
         "canser.recordings.pcapng",
         "canser.restarts",
         "canser.simulation",

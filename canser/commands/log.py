@@ -492,7 +492,9 @@ def _disk_error(error: OSError, recorder: Recorder) -> Exception:
         rest = f"the last {missing:,} bytes may not be on the disk"
     else:
         rest = f"what was written is good, the last {missing:,} bytes are not in it"
-    return OSError(f"STOPPED: {error.filename}: {error.strerror}; {rest}")
+    return OSError(
+        f"STOPPED: {error.filename or recorder.last_file}: {error.strerror or error}; {rest}"
+    )
 
 
 def _gap_text(gap: Gap) -> str:

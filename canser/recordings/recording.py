@@ -24,6 +24,7 @@ from typing import BinaryIO, Final, NamedTuple, Self, cast
 from canser._input import Input, Source
 from canser.errors import RecordingError
 from canser.recordings import pcapng
+from canser.recordings._lock import lock
 from canser.recordings.pcapng import Enhanced, Order
 
 __all__ = [
@@ -141,7 +142,7 @@ class RecordingWriter:
     OSError where the disk is full: the file then ends with its last whole block, the writer
     writes no more, and what was in the open chunk is lost. OSError, too, where the disk does
     not take what was written: what came behind `bytes_synced` may then be lost. An error names
-    the path. FileExistsError for a path that is there.
+    the path. FileExistsError for a path that is there. A path is locked until `close`.
     """
 
     def __init__(self, target: Source, info: RecordingInfo) -> None:
@@ -165,6 +166,9 @@ class RecordingWriter:
         if isinstance(target, (str, os.PathLike)):
             self._path = Path(target)
             self._opened = file = cast(BinaryIO, self._path.open("xb", buffering=0))
+            if not lock(file.fileno()):
+                file.close()
+                raise FileExistsError(errno.EEXIST, "another program records into it", str(target))
         else:
             file = target
         self._fd = file.fileno()

@@ -1,0 +1,69 @@
+"""The lock of a recording: other recorders see it, readers do not."""
+
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from canser.recordings._lock import is_locked, lock
+from canser.recordings.recording import Recording, RecordingInfo, RecordingWriter
+
+INFO = RecordingInfo("seeed", 2_000_000, 500_000, "us", "/dev/ttyUSB0")
+
+
+def test_the_lock_ends_with_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    assert not is_locked(path)
+    with path.open("xb") as first:
+        assert lock(first.fileno())
+        assert is_locked(path)
+        with path.open("rb") as second:
+            assert not lock(second.fileno())
+    assert not is_locked(path)
+
+
+def test_a_recording_is_locked_while_it_is_written_and_can_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "run.pcapng"
+    code = "import sys; from pathlib import Path; from canser.recordings._lock import is_locked\n"
+    code += "print(is_locked(Path(sys.argv[1])))"
+
+    def seen_by_others() -> str:
+        call = [sys.executable, "-c", code, str(path)]
+        done = subprocess.run(call, check=True, capture_output=True, text=True)
+        return str(done.stdout).strip()
+
+    with RecordingWriter(path, INFO) as writer:
+        writer.write(b"abc", 10**18)
+        writer.sync()
+        assert seen_by_others() == "True"
+        with Recording(path) as recording:
+            assert [bytes(piece.data) for piece in recording] == [b"abc"]
+    assert seen_by_others() == "False"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="flock is POSIX")
+@pytest.mark.parametrize("code", [errno.ENOLCK, errno.ENOTSUP, errno.EINVAL])
+def test_a_file_system_without_locks_does_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
+) -> None:
+    def flock(*_: int) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr("fcntl.flock", flock)
+    path = tmp_path / "run.pcapng"
+    RecordingWriter(path, INFO).close()
+    assert not is_locked(path)
+
+
+def test_a_new_file_that_another_one_locks_first_is_left_to_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("canser.recordings.recording.lock", lambda _: False)
+    path = tmp_path / "run.pcapng"
+    with pytest.raises(FileExistsError, match="another program records into it") as caught:
+        RecordingWriter(path, INFO)
+    assert caught.value.filename == str(path)
+    assert path.exists()
