@@ -81,8 +81,7 @@ def blocks(
         raise ValueError("offsets goes with out: give both")
     check_threads(threads)
     # A mistake shows here and not at the first block: nothing is opened.
-    if protocol is not None:
-        check_protocol(protocol, ts_unit)
+    check_protocol(protocol, ts_unit)
     if out is not None:
         Decoder(protocols()[0]).feed_into(b"", out, offsets)
     return Blocks(
@@ -427,9 +426,8 @@ def read(
     CanserWarning. For files larger than memory, and for the counters, use `blocks`.
     """
     check_threads(threads)
+    check_protocol(protocol, ts_unit)
     output_offsets(offsets, 0)
-    if protocol is not None:
-        check_protocol(protocol, ts_unit)
     with Input(path) as source:
         recorded = None
         if starts_recording(source):

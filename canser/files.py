@@ -60,8 +60,7 @@ class FrameFile(Iterator[FrameArray]):
         with contextlib.ExitStack() as opening:
             file = _standard_input() if path == "-" else opening.enter_context(open(path, "rb"))  # noqa: PTH123
             if file_format == RAW:
-                if protocol is not None:
-                    check_protocol(protocol, ts_unit)
+                check_protocol(protocol, ts_unit)
                 raw = Blocks(
                     file,
                     protocol,

@@ -69,9 +69,9 @@ class ForeignFormatError(FormatError):
         super().__init__(f"{self.what}; {found.remedy.replace('FILE', name)}")
 
 
-def check_protocol(protocol: str, ts_unit: str | None) -> None:
+def check_protocol(protocol: str | None, ts_unit: str | None) -> None:
     """Raise for a protocol or a unit that does not exist."""
-    known = protocols()[0] if is_auto(protocol) else protocol
+    known = protocols()[0] if protocol is None or is_auto(protocol) else protocol
     Decoder(known, ts_unit="ms" if ts_unit is None else ts_unit)
 
 

@@ -4,10 +4,11 @@ import gzip
 import io
 import mmap
 import os
+import re
 import sys
 import threading
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from canser import _input, captures
 from canser.captures import NoProtocolError
 from canser.errors import CanserWarning, FormatError
 from canser.frames import FRAME_DTYPE, FrameArray
+from canser.recordings.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import line_noise, vehicle
 
 PROTOCOLS = canser.protocols()
@@ -28,6 +30,14 @@ def capture_of(protocol: str, tmp_path: Path, seconds: float = 3) -> tuple[Path,
     path = tmp_path / f"{protocol}.bin"
     path.write_bytes(raw)
     return path, canser.decode(raw, protocol)
+
+
+def recording_of(capture: Path) -> Path:
+    path = capture.with_suffix(".pcapng")
+    info = RecordingInfo("serial", 2_000_000, 500_000, "us", "")
+    with RecordingWriter(path, info) as writer:
+        writer.write(capture.read_bytes(), 0, 0)
+    return path
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
@@ -209,6 +219,38 @@ def test_mistakes_show_at_once(tmp_path: Path) -> None:
         canser.read(tmp_path, "seeed")
     with pytest.raises(ValueError, match="threads"):
         canser.read(path, "seeed", threads=0)
+
+
+@pytest.mark.parametrize("unit", ["", "min", ["ms"]], ids=repr)
+@pytest.mark.parametrize("protocol", ["serial", None])
+@pytest.mark.parametrize("recorded", [False, True])
+def test_a_unit_that_is_none_is_an_error(
+    recorded: bool, protocol: str | None, unit: Any, tmp_path: Path
+) -> None:
+    path, _ = capture_of("serial", tmp_path, 0.2)
+    if recorded:
+        path = recording_of(path)
+    with pytest.raises(ValueError, match=rf"^unknown ts_unit {re.escape(repr(unit))}; have: s, "):
+        canser.read(path, protocol, ts_unit=unit)
+    with pytest.raises(ValueError, match=rf"^unknown ts_unit {re.escape(repr(unit))}; have: s, "):
+        canser.blocks(path, protocol, ts_unit=unit)
+
+
+@pytest.mark.parametrize("protocol", ["", "foo"])
+def test_a_protocol_that_is_none_is_no_fault_of_the_recording(
+    protocol: str, tmp_path: Path
+) -> None:
+    path = recording_of(capture_of("serial", tmp_path, 0.2)[0])
+    for call in (canser.read, canser.blocks):
+        with pytest.raises(ValueError, match=rf"^unknown protocol '{protocol}'"):
+            call(path, protocol)
+
+
+@pytest.mark.parametrize("offsets", [[1, 2], np.zeros(500), np.zeros(500, np.int32)])
+def test_offsets_for_a_recording_are_checked_as_for_raw_bytes(offsets: Any, tmp_path: Path) -> None:
+    path = recording_of(capture_of("serial", tmp_path, 0.2)[0])
+    with pytest.raises(TypeError, match=r"^offsets must be an array"):
+        canser.read(path, offsets=offsets)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="resident memory by /proc or resource")

@@ -39,7 +39,8 @@ class RecordedFrames:
         self.head = bytearray()  # the first bytes of the line, to tell what they are
         try:
             self.decoder = Decoder(
-                protocol or self.info.protocol, ts_unit=ts_unit or self.info.ts_unit
+                self.info.protocol if protocol is None else protocol,
+                ts_unit=self.info.ts_unit if ts_unit is None else ts_unit,
             )
         except ValueError as error:
             raise RecordingError(f"the recording says {error}") from None
