@@ -60,8 +60,8 @@ def blocks(
     Iterate over the result: each block is an array of FRAME_DTYPE, shape (n,), n >= 1.
     With `out` a block is `out[:n]`, good until the next; without, a new array.
     `offsets` goes with `out`: `offsets[:n]` are the stream offsets of the block.
-    `threads`: how many may work on a regular file of raw bytes; the frames are the same for
-    any number, and without `out` the blocks are cut elsewhere.
+    `threads`: how many may work on a regular file of raw bytes, as for `decode`; the frames are
+    the same for any number, and without `out` the blocks are cut elsewhere.
     `progress` is called after each block with the bytes done and the bytes in all
     (None where nobody knows). `.decoder` has the stats and the control packets.
 
@@ -79,7 +79,7 @@ def blocks(
     """
     if offsets is not None and out is None:
         raise ValueError("offsets goes with out: give both")
-    check_threads(threads)
+    threads = check_threads(threads)
     # A mistake shows here and not at the first block: nothing is opened.
     check_protocol(protocol, ts_unit)
     if out is not None:

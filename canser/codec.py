@@ -16,7 +16,7 @@ from canser._binding import BytesLike, Chunk, Control, Offsets, Pointer
 from canser.doubt import is_doubtful
 from canser.errors import CanserWarning
 from canser.frames import FRAME_DTYPE, FrameArray
-from canser.parallel import STRETCH, Ahead
+from canser.parallel import STRETCH, Ahead, limit_threads
 from canser.sinks import FixedArray, GrowingArray, Sink
 
 __all__ = ["TS_UNITS", "Control", "Decoder", "Stats", "decode", "encode", "protocols"]
@@ -338,7 +338,8 @@ def decode(
     numpy), read in place. Returns the frames, FRAME_DTYPE, shape (n,): a new array,
     or `out[:n]` where `out` is given. `offsets`: array of int64 or uint64, filled
     with the position of each frame's first byte. `ts_unit` as for `Decoder`. `threads`:
-    how many may work on it; the result is the same for any number.
+    how many may work on it, of which one for each core are used, and 16 at most; the result
+    is the same for any number.
 
     A CanserWarning tells where so many bytes lie in no packet that the protocol is not theirs,
     as `blocks` describes it; `as_is` leaves it out.
@@ -346,7 +347,7 @@ def decode(
     ValueError if `out` or `offsets` is too small, with the number that is needed;
     other errors as for `Decoder.feed_into`. For the counters use a `Decoder`.
     """
-    check_threads(threads)
+    threads = check_threads(threads)
     decoder = _OneShot(protocol, ts_unit=ts_unit)
     frames = decode_with(decoder, data, out=out, offsets=offsets, threads=threads)
     if not as_is and is_doubtful(decoder.protocol, decoder.position, decoder.skipped):
@@ -480,8 +481,8 @@ def encode_blocks(
 
 
 def check_threads(threads: int) -> int:
-    """Return a number of threads, or raise TypeError or ValueError."""
+    """Return how many of these threads are of use, or raise TypeError or ValueError."""
     number = operator.index(threads)
     if number < 1:
         raise ValueError(f"threads is {number}; it must be 1 or more")
-    return number
+    return limit_threads(number)

@@ -1,4 +1,4 @@
-"""What the tests share: settings, signals, and a decoder whose every call is watched."""
+"""What the tests share: settings, signals, cores for threads, a decoder that is watched."""
 
 import os
 import signal
@@ -7,8 +7,10 @@ from itertools import cycle
 
 import hypothesis
 import numpy as np
+import pytest
 
 import canser
+from canser import parallel
 from reference import RECORD, Control, Result, Stats, unpack
 
 # No deadline: a shared machine is late now and then. In CI the same examples every time, so that
@@ -37,6 +39,14 @@ def restore_signals() -> None:
 
 
 restore_signals()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _many_cores() -> Iterator[None]:
+    """Let tests use as many threads as they ask for, on a machine of any size."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parallel, "count_cores", lambda: 64)
+        yield
 
 
 class Run:

@@ -787,23 +787,81 @@ def test_a_helper_that_fails_still_delivers_what_others_wait_for(
     assert not helpers()
 
 
-@pytest.mark.usefixtures("short")
-def test_a_thread_that_cannot_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("most", [0, 1, 2])
+@pytest.mark.parametrize("how", ["decode", "read", "blocks"])
+def test_threads_that_cannot_be_started_are_done_without(
+    how: str, most: int, tmp_path: Path, short: Counter[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.bin"
+    path.write_bytes(stream := capture("serial"))
+    want = canser.decode(stream, "serial")
     real_start = threading.Thread.start
     started: list[threading.Thread] = []
 
     def start(thread: threading.Thread) -> None:
         if thread.name == "canser":
-            if len(started) == 2:
+            if len(started) == most:
                 raise RuntimeError("can't start new thread")
             started.append(thread)
         real_start(thread)
 
     monkeypatch.setattr(threading.Thread, "start", start)
-    with pytest.raises(RuntimeError, match="can't start"):
-        canser.decode(capture("serial"), "serial", threads=5)
-    assert len(started) == 2
+    if how == "decode":
+        got = canser.decode(stream, "serial", threads=5)
+    elif how == "read":
+        got = canser.read(path, "serial", threads=5)
+    else:
+        with canser.blocks(path, "serial", threads=5) as blocks:
+            got = canser.concat(blocks)
+    assert np.array_equal(got, want)
+    assert len(started) == most
     assert not helpers()
+    assert most or not short["joined"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "cores", "most"),
+    [(1, 2, 1), (2, 2, 2), (3, 2, 2), (128, 2, 2), (10**6, 64, 16), (10**30, 64, 16), (4, 1, 1)],
+)
+@pytest.mark.parametrize("how", ["decode", "read", "blocks"])
+def test_no_more_threads_than_cores_and_sixteen(
+    how: str, asked: int, cores: int, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.bin"
+    path.write_bytes(stream := bytes(4 << 20))
+    monkeypatch.setattr(parallel, "count_cores", lambda: cores)
+    started: list[threading.Thread] = []
+    real_start = threading.Thread.start
+
+    def start(thread: threading.Thread) -> None:
+        started.append(thread)
+        real_start(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", start)
+    if how == "decode":
+        canser.decode(stream, "serial", threads=asked)
+    elif how == "read":
+        canser.read(path, "serial", threads=asked)
+    else:
+        with canser.blocks(path, "serial", threads=asked) as blocks:
+            assert not list(blocks)
+    assert len(started) == most - 1
+
+
+def test_the_cores_are_those_that_this_process_may_use() -> None:
+    # In a process of its own: here it is replaced.
+    code = """if True:
+        import os, sys
+        from canser.parallel import count_cores
+        print(count_cores(), os.cpu_count())
+        if hasattr(os, "sched_setaffinity"):
+            os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+            print(count_cores(), 1)
+    """
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    first, *restricted = [tuple(map(int, line.split())) for line in run.stdout.splitlines()]
+    assert 1 <= first[0] <= first[1]
+    assert all(cores == want for cores, want in restricted)
 
 
 @pytest.mark.parametrize("where", ["advance", "join", "controls", "waiting", "progress"])
@@ -897,6 +955,7 @@ def test_the_interpreter_ends_while_helpers_wait(end: str, tmp_path: Path) -> No
         "from canser import captures, codec, parallel\n"
         "captures.BLOCK_FRAMES = 100\n"
         "codec.STRETCH = parallel.STRETCH = parallel._STRETCH_LEAST = 1 << 14\n"
+        "parallel.count_cores = lambda: 4\n"
         "blocks = canser.blocks(sys.argv[1], 'serial', threads=4)\n"
         f"print(len(next(blocks)))\n{end}\n"
     )
