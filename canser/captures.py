@@ -17,6 +17,7 @@ from canser._binding import (
     output_offsets,
     output_room,
 )
+from canser._guards import Uncopied
 from canser._input import Input, Source
 from canser.codec import Decoder, check_threads, decode_pieces, decode_with, protocols
 from canser.errors import CanserWarning
@@ -97,7 +98,7 @@ def blocks(
     )
 
 
-class Blocks(Iterator[FrameArray]):
+class Blocks(Uncopied, Iterator[FrameArray]):
     """The blocks of a capture: an iterator, made by `blocks`; a context manager."""
 
     def __init__(

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from canser import _binding
 from canser._binding import BytesLike, Chunk, Control, Offsets, Pointer
+from canser._guards import ReadOnlyDict, Uncopied
 from canser.doubt import is_doubtful
 from canser.errors import CanserWarning
 from canser.frames import FRAME_DTYPE, FrameArray
@@ -68,8 +69,11 @@ class Stats:
     ts_wraps: int  # steps of the device clock forward through zero
     ts_backsteps: int  # steps of the device clock back: a restart, or false frames
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rejects", ReadOnlyDict(self.rejects))
 
-class Decoder:
+
+class Decoder(Uncopied):
     """Decode one stream, piece by piece.
 
     `protocol`: a name of `protocols()` or an accepted spelling. `ts_unit`: the unit
@@ -78,7 +82,7 @@ class Decoder:
 
     Sans-I/O. It does not matter how the stream is cut. Two threads may share a
     decoder: they wait for each other. C works without the GIL, so decoders in
-    several threads run in parallel.
+    several threads run in parallel. A decoder cannot be copied or pickled.
     """
 
     _keeps_controls = True  # for `take_controls`

@@ -1,12 +1,15 @@
 """Captures in files: read and blocks, mapped and piped."""
 
+import copy
 import gzip
 import io
 import mmap
 import os
+import pickle
 import re
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -234,6 +237,21 @@ def test_a_unit_that_is_none_is_an_error(
         canser.read(path, protocol, ts_unit=unit)
     with pytest.raises(ValueError, match=rf"^unknown ts_unit {re.escape(repr(unit))}; have: s, "):
         canser.blocks(path, protocol, ts_unit=unit)
+
+
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_what_holds_a_file_cannot_be_copied(again: Callable[[Any], Any], tmp_path: Path) -> None:
+    path, want = capture_of("serial", tmp_path, 0.2)
+    with canser.blocks(path, "serial") as blocks:
+        with pytest.raises(TypeError, match="a Blocks cannot be copied or pickled: the copy would"):
+            again(blocks)
+        assert np.array_equal(canser.concat(blocks), want)
+    info = RecordingInfo("serial", 2_000_000, 500_000, "us", "")
+    with (
+        RecordingWriter(tmp_path / "run.pcapng", info) as writer,
+        pytest.raises(TypeError, match="a RecordingWriter cannot be copied"),
+    ):
+        again(writer)
 
 
 @pytest.mark.parametrize("protocol", ["", "foo"])

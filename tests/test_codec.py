@@ -1,8 +1,10 @@
 """Decoder, decode and encode: buffers, room, errors, threads. The wire is tested elsewhere."""
 
 import array
+import copy
 import ctypes
 import gc
+import json
 import mmap
 import os
 import pickle
@@ -11,8 +13,8 @@ import subprocess
 import sys
 import threading
 import tracemalloc
-from collections.abc import Callable
-from dataclasses import FrozenInstanceError, asdict
+from collections.abc import Callable, Mapping
+from dataclasses import FrozenInstanceError, asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -409,6 +411,68 @@ def test_stats_can_be_compared_and_kept() -> None:
     assert asdict(stats)["rejects"] == stats.rejects
     decoder.feed(b"x")
     assert stats != decoder.stats
+
+
+def test_rejects_cannot_be_changed_by_those_who_get_them() -> None:
+    given = {"cut": 1}
+    decoder = canser.Decoder("serial")
+    decoder.feed(b"\x01\x02" + RAW["serial"])
+    stats = decoder.stats
+    before = dict(stats.rejects)
+    rejects: Any = stats.rejects
+    changes: list[Callable[[], Any]] = [
+        lambda: rejects.__setitem__("cut", 7),
+        lambda: rejects.__delitem__("cut"),
+        lambda: rejects.update(cut=7),
+        lambda: rejects.setdefault("new", 7),
+        lambda: rejects.pop("cut"),
+        lambda: rejects.pop("none", None),
+        rejects.popitem,
+        rejects.clear,
+        lambda: rejects.__ior__({"cut": 7}),
+    ]
+    for change in changes:
+        with pytest.raises(TypeError, match=r"cannot be changed; dict\(\.\.\.\) makes a copy"):
+            change()
+    assert stats.rejects == before == decoder.stats.rejects
+    assert isinstance(stats.rejects, Mapping)
+    # Nor through the dict that they were made of.
+    own = replace(stats, rejects=given)
+    given["cut"] = 2
+    assert own.rejects == {"cut": 1}
+
+
+@pytest.mark.parametrize(
+    "again",
+    [
+        copy.copy,
+        copy.deepcopy,
+        *(lambda x, n=n: pickle.loads(pickle.dumps(x, n)) for n in range(6)),
+        lambda stats: canser.Stats(**asdict(stats)),
+    ],
+)
+def test_stats_can_be_copied_and_stay_frozen(again: Callable[[canser.Stats], canser.Stats]) -> None:
+    decoder = canser.Decoder("serial")
+    decoder.feed(b"\x01\x02" + RAW["serial"])
+    stats = again(decoder.stats)
+    assert stats == decoder.stats
+    assert repr(stats) == repr(decoder.stats)
+    assert json.loads(json.dumps(asdict(stats)))["rejects"] == stats.rejects
+    with pytest.raises(TypeError):
+        stats.rejects["cut"] = 7  # type: ignore[index]
+
+
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_decoder_cannot_be_copied(again: Callable[[Any], Any]) -> None:
+    class Mine(canser.Decoder):
+        pass
+
+    for make in (canser.Decoder, Mine):
+        decoder = make("serial")
+        text = f"a {make.__name__} cannot be copied or pickled: the copy would share its state"
+        with pytest.raises(TypeError, match=text):
+            again(decoder)
+        assert same(decoder.feed(RAW["serial"]), "serial")
 
 
 def test_reset_forgets_everything() -> None:

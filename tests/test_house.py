@@ -20,6 +20,7 @@ FLOORS = [
     ],
     [
         "canser._core",
+        "canser._guards",
         "canser._input",
         "canser._progress",
         "canser._signals",

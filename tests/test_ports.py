@@ -2,7 +2,9 @@
 
 import asyncio
 import contextlib
+import copy
 import gc
+import pickle
 import select
 import signal
 import socket
@@ -713,6 +715,14 @@ def test_a_mask_is_never_lost_in_silence(protocol: str) -> None:
             port.read_batch(np.ma.masked_array(frames), timeout=0)
         with pytest.raises(TypeError, match="data is a masked array"):
             port.send_raw(np.ma.masked_array(np.zeros(4, np.uint8)))
+
+
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_port_cannot_be_copied(again: Callable[[Any], Any]) -> None:
+    with plugged("cantalope") as (_, port):
+        with pytest.raises(TypeError, match="a Port cannot be copied or pickled: the copy would"):
+            again(port)
+        assert not port.closed
 
 
 def test_a_frame_that_cannot_be_encoded_sends_nothing() -> None:

@@ -1,7 +1,9 @@
 """The simulated adapter, from the host's side of a real pseudo terminal."""
 
+import copy
 import io
 import os
+import pickle
 import select
 import sys
 import termios
@@ -10,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -805,3 +808,21 @@ def test_without_a_free_terminal_the_error_says_so(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(os, "openpty", fail)
     with pytest.raises(OSError, match="a new pseudo terminal: out of pty devices"):
         Simulator("seeed").__enter__()
+
+
+def test_a_report_is_of_its_moment_and_cannot_be_changed() -> None:
+    simulator = Simulator("seeed")
+    report = simulator.report()
+    controls: Any = report.controls
+    with pytest.raises(TypeError, match="cannot be changed"):
+        controls["ping"] = 7
+    simulator._controls["ping"] += 1
+    assert report.controls == {}
+    assert simulator.report().controls == {"ping": 1}
+    assert copy.deepcopy(report) == pickle.loads(pickle.dumps(report)) == report
+
+
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_simulator_cannot_be_copied(again: Callable[[Any], Any]) -> None:
+    with pytest.raises(TypeError, match="a Simulator cannot be copied or pickled"):
+        again(Simulator("seeed"))

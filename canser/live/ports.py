@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from canser import adapters
 from canser._binding import BytesLike, as_bytes, find_protocol, input_frames, output_frames
+from canser._guards import Uncopied
 from canser.adapters import Report
 from canser.codec import Control, Decoder, Stats, decode, encode
 from canser.errors import PortClosedError, PortError, SendError, SendTimeoutError
@@ -133,7 +134,7 @@ _UNSET: Final = {
 }
 
 
-class Port:
+class Port(Uncopied):
     """A live port, made by `open`; a context manager.
 
     A thread drains the line into a ring of raw bytes; whoever reads decodes them, straight into

@@ -15,6 +15,7 @@ from can.broadcastmanager import CyclicSendTaskABC, ThreadBasedCyclicSendTask
 from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 
 from canser._binding import find_protocol
+from canser._guards import Uncopied
 from canser.codec import protocols, tick_ns
 from canser.errors import PortError, SendTimeoutError
 from canser.frames import NO_TIME, FrameArray, copy_records, flaw
@@ -63,7 +64,7 @@ class _UntilShutdown:
                 raise
 
 
-class CanserBus(can.BusABC):
+class CanserBus(Uncopied, can.BusABC):
     """A serial CAN adapter as a bus of python-can.
 
     Messages carry the times that python-can's own bus of the format gives: those of the

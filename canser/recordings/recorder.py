@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from canser._guards import Uncopied
 from canser._output import OutputExistsError
 from canser.recordings.recording import RecordingInfo, RecordingWriter
 
@@ -53,7 +54,7 @@ class _Segment:
         return self.pieces[-1].ns
 
 
-class Recorder:
+class Recorder(Uncopied):
     """Put the bytes of a port into recordings.
 
     `path` ends in SUFFIX. Without anything else it is the one file. With `size` (bytes of a

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple, Self, cast
 
+from canser._guards import Uncopied
 from canser._input import Input, Source
 from canser.errors import RecordingError
 from canser.recordings import pcapng
@@ -131,7 +132,7 @@ def starts_recording(source: Input) -> bool:
     return likely and is_recording(bytes(source.at(0, 12)))
 
 
-class RecordingWriter:
+class RecordingWriter(Uncopied):
     """Write a recording, block by block; a context manager.
 
     `target`: the path of a file that is not there yet, or an empty file open for writing,

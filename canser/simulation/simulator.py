@@ -15,6 +15,7 @@ from typing import BinaryIO, Final, Self
 import numpy as np
 
 from canser import adapters
+from canser._guards import ReadOnlyDict, Uncopied
 from canser._named import named
 from canser._threads import start_thread
 from canser.adapters import Report
@@ -86,8 +87,11 @@ class SimulatorReport:
     controls: Mapping[str, int]  # packets from the host that are no frames, by their kind
     configuration: Report | None  # the last one
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "controls", ReadOnlyDict(self.controls))
 
-class Simulator:
+
+class Simulator(Uncopied):
     """A serial CAN adapter that is not there: a pseudo terminal, and a thread that serves it.
 
     `protocol`: a name of `protocols()`. `traffic`: the frames it sends: an array of
@@ -280,7 +284,7 @@ class Simulator:
                 frames_echoed=self._frames_echoed,
                 bytes_received=stats.bytes_in,
                 bytes_skipped=stats.bytes_skipped,
-                controls=dict(self._controls),
+                controls=self._controls,
                 configuration=self._configuration,
             )
 
