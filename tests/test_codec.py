@@ -346,7 +346,7 @@ def test_a_new_array_holds_no_more_than_its_frames(protocol: str) -> None:
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="it is the C library that keeps them")
 @pytest.mark.parametrize("count", [8_000, 90_000, 400_000])
-def test_decode_in_a_loop_takes_no_new_pages_from_the_system(count: int) -> None:
+def test_decode_in_a_loop_allocates_no_new_pages(count: int) -> None:
     # A page that is new takes longer than the decoding of the frames in it.
     code = f"""if True:
         import resource
