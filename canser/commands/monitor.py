@@ -24,7 +24,9 @@ def add(commands: Commands) -> None:
         "  canser monitor -c /dev/ttyUSB0 -p seeed --filter 123 --filter 7E0:7F8\n\n"
         "keys: i n p j d s sort by id, count, period, jitter, dlc, last seen (again: the\n"
         "other way round); / filter (digits alone are there the first of an id), space\n"
-        "pause, c clear, q quit",
+        "pause, c clear, q quit\n\n"
+        "period: the median of the last 32 steps from one frame of an id to the next\n"
+        "jitter: the standard deviation of those between 0.5 and 1.5 periods",
         run=run,
         parents=[port_arguments(), staying_arguments()],
     )
