@@ -334,6 +334,30 @@ def test_a_writer_that_is_closed_says_so(tmp_path: Path) -> None:
         writer.sync()
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows lets no open file be moved")
+@pytest.mark.parametrize("how", ["removed", "renamed", "replaced"])
+def test_a_name_that_is_lost_is_seen_within_a_second_and_at_the_end(
+    tmp_path: Path, how: str
+) -> None:
+    path, other = tmp_path / "run.pcapng", tmp_path / "other"
+    for wait_s in (1, 0):
+        writer = RecordingWriter(path, INFO)
+        writer.poll(EPOCH)
+        assert (writer.vanished, writer.renamed) == (False, False)
+        if how == "removed":
+            path.unlink()
+        elif how == "renamed":
+            path.rename(other)
+        else:
+            other.write_text("other")
+            other.replace(path)
+        writer.poll(EPOCH + wait_s * 1000 * MS)
+        assert writer.vanished == bool(wait_s)
+        writer.close()
+        assert (writer.vanished, writer.renamed) == (True, how == "renamed")
+        path.unlink(missing_ok=True)
+
+
 # A limit on the size of files is to the writer what a full disk is.
 FILLER = """
 import errno, random, resource, sys

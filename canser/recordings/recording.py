@@ -87,6 +87,9 @@ _HEAD_LEN: Final = len(pcapng.enhanced_head(0, 0))
 # Where there is nothing to be written through: a pipe, a terminal.
 _NO_SYNC: Final = {errno.EINVAL, errno.ENOTSUP, errno.EROFS}
 
+# What the system says of a name that is gone, alone or with its folder.
+_NO_FILE: Final = {errno.ENOENT, errno.ENOTDIR, errno.ESTALE}
+
 _ABOUT: Final = (
     "The raw bytes of a serial line, not packets. The time of a block is when its last byte "
     "came; drop counts are the bytes lost right before a block; counts of the interface are bytes."
@@ -144,6 +147,9 @@ class RecordingWriter(Uncopied):
     writes no more, and what was in the open chunk is lost. OSError, too, where the disk does
     not take what was written: what came behind `bytes_synced` may then be lost. An error names
     the path. FileExistsError for a path that is there. A path is locked until `close`.
+
+    `vanished` tells, as of the last second and of `close`, that the path is no more the name of
+    the file: it was removed, replaced or renamed. What is written goes into the file still.
     """
 
     def __init__(self, target: Source, info: RecordingInfo) -> None:
@@ -151,6 +157,8 @@ class RecordingWriter(Uncopied):
         self.bytes_written = 0  # of the line, without the format's own
         self.bytes_synced = 0  # of these, those that are known to be on the disk
         self.blocks_written = 0
+        self.vanished = False
+        self.renamed = False  # it has vanished, and has another name
         self._room = bytearray()  # the open chunk: the block's head, and the bytes
         self._crc32 = 0
         self._first_ns = self._last_ns = 0  # of the pieces in the open chunk
@@ -174,12 +182,17 @@ class RecordingWriter(Uncopied):
             file = target
         self._fd = file.fileno()
         self._new_chunk()
+        # What the path is compared with; None where the system does not know a file again, as
+        # on some network drives.
+        self.identity: os.stat_result | None = None
         try:
             with self._naming():
                 self._write_block(header)
                 self._write_through()
                 if self._path is not None:
                     _sync_folder(self._path.absolute().parent)
+                    own = os.fstat(self._fd)
+                    self.identity = own if _names_file(self._path, own) else None
         except BaseException:
             if self._path is not None:
                 file.close()
@@ -220,6 +233,7 @@ class RecordingWriter(Uncopied):
         if not 0 <= now_ns - self._synced_ns < _SYNC_NS:
             self._write_through()
             self._synced_ns = now_ns
+            self._look_at_name()
 
     def sync(self) -> None:
         """Close the chunk, and write everything through to the disk."""
@@ -236,7 +250,9 @@ class RecordingWriter(Uncopied):
                 self._write_through()
         finally:
             self._usable = False
-            if self._opened is not None:
+            if self._opened is not None and not self._opened.closed:
+                with contextlib.suppress(OSError):
+                    self._look_at_name()
                 self._opened.close()
 
     def _check_usable(self) -> None:
@@ -327,6 +343,13 @@ class RecordingWriter(Uncopied):
                 raise
         self.bytes_synced = self.bytes_written
 
+    def _look_at_name(self) -> None:
+        """See whether the path is still the name of the file."""
+        if self.identity is not None and self._path is not None:
+            self.vanished = self.vanished or not _names_file(self._path, self.identity)
+            self.identity = os.fstat(self._fd)
+            self.renamed = self.vanished and self.identity.st_nlink > 0
+
     @contextlib.contextmanager
     def _naming(self) -> Iterator[None]:
         """Let an error name the file."""
@@ -346,6 +369,14 @@ class RecordingWriter(Uncopied):
         options.append((_DROPPED, struct.pack("<Q", lost)))
         fixed = struct.pack("<I", 0) + _split_time(time.time_ns())
         return pcapng.block(pcapng.STATISTICS, fixed, options)
+
+
+def _names_file(path: str | Path, file: os.stat_result) -> bool:
+    """Return whether a path is the name of a file. Where that cannot be told it is."""
+    try:
+        return os.path.samestat(os.stat(path), file)  # noqa: PTH116
+    except OSError as error:
+        return error.errno not in _NO_FILE
 
 
 def _sum_lost(before: int, more: int) -> int:
