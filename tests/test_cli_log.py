@@ -15,7 +15,7 @@ import pytest
 
 import canser
 from canser.frames import FRAME_DTYPE, FrameArray
-from canser.recordings.recording import Recording
+from canser.recordings.recording import Recording, RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
@@ -58,7 +58,7 @@ def log(*more: str) -> list[str]:
 def check_law(facts: dict[str, int]) -> None:
     kinds = ("framed", "control", "skipped", "pending")
     assert facts["bytes"] == sum(facts[kind] for kind in kinds)
-    assert facts["bytes"] == facts["recorded"] + facts["not_recorded"]
+    assert facts["bytes"] == facts["recorded"] + facts["not_recorded"] + facts["vanished"]
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
@@ -376,7 +376,7 @@ def test_without_a_trigger_there_is_no_file(tmp_path: Path, device: "Device") ->
 STATUS_KEYS = {
     "type", "time", "elapsed", "frames", "frames_per_s", "bytes", "bytes_per_s", "bus_load",
     "framed", "control", "skipped", "pending", "resyncs", "lost", "gaps", "gaps_unknown", "ring",
-    "recorded", "not_recorded", "triggers", "files", "file", "lines_dropped",
+    "recorded", "not_recorded", "vanished", "triggers", "files", "file", "lines_dropped",
 }  # fmt: skip
 
 
@@ -458,6 +458,87 @@ def test_closed_streams(tmp_path: Path) -> None:
     done = subprocess.run(without(1), cwd=tmp_path, capture_output=True, check=False)
     assert done.returncode == BAD_CALL
     assert b"the standard output is closed" in done.stderr
+
+
+# Files that are removed, replaced or renamed while they are open
+
+
+@pytest.mark.parametrize("how", ["removed", "renamed"])
+def test_a_file_that_vanishes_is_told_and_the_exit_code_is_1(
+    tmp_path: Path, device: "Device", how: str
+) -> None:
+    path, moved = tmp_path / "run.pcapng", tmp_path / "moved.pcapng"
+    with running(tmp_path, *log("--json", "run.pcapng")) as run:
+        run.wait_object("opened")
+        device.write(RAW)
+        run.wait_object("status", bytes=len(RAW))
+        if how == "removed":
+            path.unlink()
+        else:
+            path.rename(moved)
+        told = run.wait_object("vanished", path=str(path), renamed=how == "renamed")
+        run.wait_for(lambda: len(run.objects("opened")) == 2, "a new file")
+        device.write(RAW)
+        run.wait_object("status", bytes=2 * len(RAW))
+        assert run.end(signal.SIGINT) == BAD_DATA
+    (end,) = run.objects("end")
+    check_law(end)
+    lost = len(RAW) if how == "removed" else 0
+    assert told["lost"] == end["vanished"] == lost
+    assert (end["reason"], end["files"]) == ("signal", 2)
+    assert end["error"] == (
+        "files that were removed, replaced or renamed while they were open: 1; "
+        f"{lost:,} bytes are gone"
+    )
+    assert run.err == [f"canser: {end['error']}"]
+    assert content(path) == RAW
+    if how == "renamed":
+        assert content(moved) == RAW
+
+
+def test_no_file_that_is_gone_is_named_at_the_end(tmp_path: Path, device: "Device") -> None:
+    path = tmp_path / "run.pcapng"
+    with running(tmp_path, *log("run.pcapng")) as run:
+        run.wait_line("recording into")
+        device.write(RAW)
+        until(lambda: path.stat().st_size > len(RAW))
+        path.unlink()
+        assert run.end(signal.SIGINT) == BAD_DATA
+    assert "recorded: 0 bytes in 1 file, 0 kept" in run.err
+    lost = f"{path} was removed or replaced while it was open; its {len(RAW):,} bytes are gone"
+    assert lost in run.err
+    assert run.err[-1].startswith("canser: files that were removed")
+
+
+def test_another_recorder_that_takes_the_name_ends_it(tmp_path: Path, device: "Device") -> None:
+    path = tmp_path / "run.pcapng"
+    with running(tmp_path, *log("run.pcapng")) as run:
+        run.wait_line("recording into")
+        device.write(RAW)
+        until(lambda: path.stat().st_size > len(RAW))
+        with RecordingWriter(tmp_path / "new.pcapng", RecordingInfo("seeed", 1, None, "ms", "x")):
+            (tmp_path / "new.pcapng").replace(path)
+            assert run.end() == BAD_DATA
+    last = run.err[-1]
+    assert last.startswith(f"canser: STOPPED: {path}: another program records into it now")
+
+
+@pytest.mark.parametrize(("keep", "text"), [("2", "2 kept: "), ("1", "1 kept: "), ("", "")])
+def test_the_summary_names_files_that_are_there(
+    tmp_path: Path, device: "Device", keep: str, text: str
+) -> None:
+    options = ["--size", "100k", *(["--keep", keep] if keep else []), "run.pcapng"]
+    with running(tmp_path, *log(*options)) as run:
+        run.wait_line("recording into")
+        device.write(RAW * 2)
+        until(lambda: sum("recording into" in line for line in run.err) >= 5)
+        assert run.end(signal.SIGINT) == GOOD
+    made = sum("recording into" in line for line in run.err)
+    there = [path.name for path in recordings(tmp_path)]
+    assert len(there) == (int(keep) if keep else made)
+    names = there[0] if keep == "1" else f"{there[0]} to {there[-1]}"
+    (line,) = (line for line in run.err if line.startswith("recorded:"))
+    assert line.endswith(f" bytes in {made} files, {text}{names}")
 
 
 # What becomes of the messages and objects

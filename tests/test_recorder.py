@@ -2,6 +2,7 @@
 
 import errno
 import os
+import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -176,17 +177,22 @@ def test_keep_deletes_the_oldest_of_this_run_only(tmp_path: Path) -> None:
     recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, size=3_000, keep=2)
     recorder.start(START)
     feed(recorder, step=500)
-    # One that somebody has moved away is no error.
-    Path(recorder.file).unlink()
+    # One that was taken away is no error, and what has its name then is another file.
+    taken = Path(recorder.files_kept[0])
+    taken.unlink()
+    assert recorder.files_kept == [recorder.file]
+    taken.write_text("put there")
     feed(recorder, RAW, step=500)
     recorder.close()
+    assert taken.read_text() == "put there"
+    taken.unlink()
     left = [name for name in names(tmp_path) if name not in (old.name, other.name)]
     assert len(left) == 2
     assert (old.read_text(), other.read_text()) == ("old", "other")
     made = [Path(event.path).name for event in recorder.events if event.kind == "opened"]
     gone = [Path(event.path).name for event in recorder.events if event.kind == "deleted"]
     assert made[0] == "run-000008.pcapng"
-    assert gone == made[:-2]
+    assert gone == [name for name in made[:-2] if name != taken.name]
     assert left == made[-2:]
 
 
@@ -428,3 +434,150 @@ def test_a_failed_sync_ends_it_and_the_rest_is_unsure(
     assert caught.value.filename == str(tmp_path / "run.pcapng")
     assert (recorder.bytes_recorded, recorder.bytes_unsure) == (synced, 6)
     assert recorder.bytes_in == synced + 6
+
+
+# Files that are removed, replaced or renamed while they are open
+
+
+def record_until(recorder: Recorder, raw: bytes, until_s: int) -> None:
+    """Record bytes that end with a packet, and let a second of the clock go by."""
+    ns = START + until_s * SECOND
+    recorder.write(raw, ns - 500 * MS)
+    recorder.advance(recorder.bytes_in, ns)
+
+
+FIRST, NEXT, THIRD = (
+    RAW[begin:end]
+    for begin, end in ((0, ENDS[300]), (ENDS[300], ENDS[600]), (ENDS[600], ENDS[900]))
+)
+posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows lets no open file be moved")
+
+
+def vanished(recorder: Recorder) -> list[tuple[str, int, bool]]:
+    return [
+        (Path(event.path).name, event.lost, event.renamed)
+        for event in recorder.events
+        if event.kind == "vanished"
+    ]
+
+
+@posix
+@pytest.mark.parametrize("force", [False, True])
+@pytest.mark.parametrize(
+    "what", ["removed", "renamed", "replaced", "folder removed", "folder renamed"]
+)
+def test_a_file_that_vanishes_is_told_and_another_one_goes_on(
+    tmp_path: Path, what: str, force: bool
+) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    path = folder / "run.pcapng"
+    recorder = Recorder(str(path), INFO, force=force)
+    recorder.start(START)
+    record_until(recorder, FIRST, 1)
+    new = path
+    if what == "removed":
+        path.unlink()
+    elif what == "renamed":
+        path.rename(folder / "moved.pcapng")
+    elif what == "replaced":
+        (folder / "other").write_text("other")
+        (folder / "other").replace(path)
+        new = folder / "run-000001.pcapng"
+    elif what == "folder removed":
+        path.unlink()
+        folder.rmdir()
+    else:
+        folder.rename(tmp_path / "elsewhere")
+    record_until(recorder, NEXT, 3)
+    record_until(recorder, THIRD, 5)
+    assert recorder.file == str(new)
+    recorder.close()
+    renamed = "renamed" in what
+    lost = 0 if renamed else len(FIRST + NEXT)
+    assert vanished(recorder) == [("run.pcapng", lost, renamed)]
+    assert (recorder.vanished, recorder.bytes_vanished) == (1, lost)
+    assert recorder.bytes_recorded == recorder.bytes_in - lost
+    assert content(new) == THIRD
+    assert recorder.files_kept == [str(new)]
+    if what == "replaced":
+        assert path.read_text() == "other"
+    if renamed:
+        (old,) = {*tmp_path.rglob("*.pcapng")} - {new}
+        assert content(old) == FIRST + NEXT
+
+
+@posix
+def test_numbered_files_go_on_with_the_next_number(tmp_path: Path) -> None:
+    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, size=1 << 20, keep=2)
+    recorder.start(START)
+    record_until(recorder, FIRST, 1)
+    Path(recorder.file).unlink()
+    record_until(recorder, NEXT, 3)
+    record_until(recorder, THIRD, 5)
+    recorder.close()
+    assert names(tmp_path) == ["run-000002.pcapng"]
+    assert content(tmp_path / "run-000002.pcapng") == THIRD
+    assert vanished(recorder) == [("run-000001.pcapng", len(FIRST + NEXT), False)]
+
+
+@posix
+def test_a_file_that_vanishes_in_the_last_second_is_told(tmp_path: Path) -> None:
+    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO)
+    recorder.start(START)
+    record_until(recorder, FIRST, 1)
+    Path(recorder.file).unlink()
+    recorder.close()
+    assert vanished(recorder) == [("run.pcapng", len(FIRST), False)]
+    assert (recorder.bytes_recorded, recorder.bytes_vanished) == (0, len(FIRST))
+    assert names(tmp_path) == []
+
+
+@posix
+def test_what_surrounds_a_trigger_goes_on_in_a_new_file(tmp_path: Path) -> None:
+    recorder = Recorder(str(tmp_path / "e.pcapng"), INFO, window_ns=(0, 60 * SECOND))
+    recorder.start(START)
+    recorder.write(FIRST, START)
+    recorder.advance(recorder.bytes_in, START, [START])
+    Path(recorder.file).unlink()
+    record_until(recorder, NEXT, 3)
+    record_until(recorder, THIRD, 5)
+    recorder.close()
+    assert names(tmp_path) == ["e-000002.pcapng"]
+    assert content(tmp_path / "e-000002.pcapng") == THIRD
+    assert recorder.bytes_vanished == len(FIRST + NEXT)
+
+
+@posix
+def test_a_name_that_another_recorder_has_ends_it(tmp_path: Path) -> None:
+    path = tmp_path / "run.pcapng"
+    recorder = Recorder(str(path), INFO)
+    recorder.start(START)
+    record_until(recorder, FIRST, 1)
+    path.rename(tmp_path / "moved.pcapng")
+    other = Recorder(str(path), INFO)
+    other.start(START)
+    with pytest.raises(OSError, match="another program records into it now") as caught:
+        record_until(recorder, NEXT, 3)
+    assert caught.value.filename == str(path)
+    recorder.write(THIRD, START)
+    recorder.close()
+    other.close()
+    assert content(tmp_path / "moved.pcapng") == FIRST + NEXT
+    assert content(path) == b""
+    assert names(tmp_path) == ["moved.pcapng", "run.pcapng"]
+    assert recorder.bytes_recorded == len(FIRST + NEXT)
+
+
+@posix
+def test_a_file_system_that_does_not_know_its_files_is_not_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On some network drives a file has another number each time."""
+    monkeypatch.setattr(os.path, "samestat", lambda *_: False)
+    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, size=3_000, keep=2)
+    recorder.start(START)
+    feed(recorder, step=500)
+    recorder.close()
+    assert vanished(recorder) == []
+    assert len(names(tmp_path)) == 2

@@ -3,7 +3,9 @@
 With --json each line on standard output is an object with a `type` and a `time` (epoch seconds):
 
     status   once a second, and `end`, the last one, which has besides
-               reason: "signal", "duration" or "error"; error: its text, or null
+               reason: of the end: "signal", "duration" or "error"
+               error: why the exit code is 1, or null; what standard output did not take of
+               these lines is not known here
              elapsed: seconds since the port was opened
              frames, bytes: so far; bytes == framed + control + skipped + pending
              frames_per_s, bytes_per_s, bus_load: of the last second; the load is 0 to 1 without
@@ -13,9 +15,13 @@ With --json each line on standard output is an object with a `type` and a `time`
              ring: how full it is, 0 to 1
              recorded, not_recorded: bytes in files, at the end those that are on the disk for
                sure, and bytes far from any trigger
+             vanished: bytes in files that were removed or replaced while they were open
              triggers; files: that were opened; file: the open one, or ""
              lines_dropped: objects that are missing, because those before them were not read
     opened, closed, deleted    a file: path
+    vanished  a file that was removed, replaced or renamed while it was open: path;
+             renamed: whether its bytes are there, under a new name; lost: bytes that are gone.
+             The recording goes on in another file, and the exit code is 1
     trigger  path: of the file that was open, or ""
     gap      offset: in the stream; lost: bytes, -1 where nobody knows; reason: "overflow",
              "reconnect" or "watchdog"
@@ -43,7 +49,7 @@ import numpy as np
 
 from canser import adapters, report
 from canser._signals import Stop, stop_on_signals
-from canser.commands._common import BAD_DATA, GOOD, CallError, Commands, add_command
+from canser.commands._common import BAD_DATA, GOOD, CallError, Commands, DataError, add_command
 from canser.commands._numbers import byte_count, duration, whole
 from canser.commands._port import open_port, port_arguments, staying_arguments
 from canser.commands._screen import PATIENCE_S, Lines, StatusLine, warnings_as_lines
@@ -52,7 +58,7 @@ from canser.frames import FRAME_DTYPE, FrameArray, match
 from canser.live.meter import Meter
 from canser.live.ports import Port, host_clock
 from canser.live.ring import Gap
-from canser.recordings.recorder import MEMORY, Recorder
+from canser.recordings.recorder import MEMORY, Event, Recorder
 from canser.recordings.recording import RecordingInfo
 
 __all__ = ["add"]
@@ -282,10 +288,9 @@ class _Log:
         self._gaps = self._gaps_unknown = 0
         self._away = self._told_memory = False
         self._gap_end = 0  # bytes that had come when the device went away
-        self._files: list[str] = []  # the first and the last one
 
     def run(self, stop: Stop) -> Exception | None:
-        """Record until the end; return what has ended it, None for a wish or the time."""
+        """Record until the end; return why the exit code is not 0."""
         error: Exception | None = None
         try:
             try:
@@ -300,9 +305,15 @@ class _Log:
         except OSError as ended:
             error = error or ended
         self._tell_events()
+        reason = "error" if error is not None else "signal" if stop else "duration"
         if isinstance(error, OSError):
             error = _disk_error(error, self._recorder)
-        self._summary(error, stopped=bool(stop))
+        if error is None and self._recorder.vanished:
+            error = DataError(
+                f"files that were removed, replaced or renamed while they were open: "
+                f"{self._recorder.vanished:,}; {self._recorder.bytes_vanished:,} bytes are gone"
+            )
+        self._summary(reason, error)
         return error
 
     def _follow(self, stop: Stop) -> None:
@@ -374,10 +385,14 @@ class _Log:
     def _tell_events(self) -> None:
         recorder = self._recorder
         while recorder.events:
-            kind, path, ts = recorder.events.popleft()
-            if kind == "opened":
-                self._files = [*self._files[:1], path]
-            if kind == "trigger":
+            event = recorder.events.popleft()
+            kind, path, ts = event.kind, event.path, event.ts
+            if kind == "vanished":
+                self._teller.event(
+                    kind, _vanished_text(event), ts, path=path, lost=event.lost,
+                    renamed=event.renamed,
+                )  # fmt: skip
+            elif kind == "trigger":
                 when = datetime.fromtimestamp(ts / 1e9).astimezone()
                 self._teller.event("trigger", f"trigger at {when:%H:%M:%S.%f}", ts, path=path)
             elif kind != "closed" or self._teller.status is None:
@@ -418,6 +433,7 @@ class _Log:
             "ring": round(port.ring_fill, 4),
             "recorded": recorder.bytes_recorded,
             "not_recorded": recorder.bytes_passed,
+            "vanished": recorder.bytes_vanished,
             "triggers": recorder.triggers,
             "files": recorder.files,
             "file": recorder.file,
@@ -448,10 +464,9 @@ class _Log:
             parts.append(f"waiting for trigger {recorder.triggers + 1:,}")
         return parts
 
-    def _summary(self, error: Exception | None, *, stopped: bool) -> None:
+    def _summary(self, reason: str, error: Exception | None) -> None:
         port, recorder, stats = self._port, self._recorder, self._port.stats
         if self._teller.status is None:
-            reason = "error" if error is not None else "signal" if stopped else "duration"
             facts = {"reason": reason, "error": None if error is None else str(error)}
             self._teller.object("end", self._clock(), facts | self._facts())
             return
@@ -463,13 +478,7 @@ class _Log:
         ]
         if stats.bytes_skipped:
             lines.append(f"skipped: {report.reject_text(stats)}; resyncs: {stats.resyncs:,}")
-        names = [Path(path).name for path in self._files]
-        files = {0: "no file", 1: names[-1] if names else ""}.get(
-            recorder.files,
-            f"{recorder.files:,} files, {names[0] if names else ''} to "
-            f"{names[-1] if names else ''}",
-        )
-        lines.append(f"recorded: {recorder.bytes_recorded:,} bytes in {files}")
+        lines.append(f"recorded: {recorder.bytes_recorded:,} bytes in {_files_text(recorder)}")
         if self._triggered:
             lines.append(
                 f"triggers: {recorder.triggers:,}; {recorder.bytes_passed:,} bytes far from any "
@@ -484,8 +493,33 @@ class _Log:
         self._teller.last_lines(lines)
 
 
+def _files_text(recorder: Recorder) -> str:
+    """Return how many files were made, and the names of those that are there."""
+    names = [Path(path).name for path in recorder.files_kept]
+    if not recorder.files:
+        return "no file"
+    if recorder.files == len(names) == 1:
+        return names[0]
+    text = f"{recorder.files:,} file{'s' * (recorder.files > 1)}"
+    if len(names) < recorder.files:
+        text += f", {len(names):,} kept"
+    if not names:
+        return text
+    separator = ", " if len(names) == recorder.files else ": "
+    return text + separator + (names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}")
+
+
+def _vanished_text(event: Event) -> str:
+    if event.renamed:
+        return f"{event.path} was renamed while it was open; its bytes are under its new name"
+    return (
+        f"{event.path} was removed or replaced while it was open; its {event.lost:,} bytes are gone"
+    )
+
+
 def _disk_error(error: OSError, recorder: Recorder) -> Exception:
-    missing = recorder.bytes_in - recorder.bytes_recorded - recorder.bytes_passed
+    elsewhere = recorder.bytes_passed + recorder.bytes_vanished
+    missing = recorder.bytes_in - recorder.bytes_recorded - elsewhere
     if not recorder.files:
         rest = "nothing is recorded"
     elif recorder.bytes_unsure:

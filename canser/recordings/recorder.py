@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 
 from canser._guards import Uncopied
 from canser._output import OutputExistsError
+from canser.recordings._lock import is_locked
 from canser.recordings.recording import RecordingInfo, RecordingWriter
 
 __all__ = ["MEMORY", "SUFFIX", "Event", "Recorder"]
@@ -30,9 +31,31 @@ _BLOCK_OVERHEAD: Final = 72
 class Event(NamedTuple):
     """What has become of a file, or why it was begun."""
 
-    kind: str  # "opened", "closed", "deleted", "trigger"
+    kind: str  # "opened", "closed", "deleted", "vanished", "trigger"
     path: str  # of the file; of a trigger the one that was open, or ""
     ts: int  # epoch nanoseconds
+    lost: int = 0  # bytes of the line that are gone with a file that has vanished
+    renamed: bool = False  # it has vanished, and has another name: its bytes are there
+
+
+class _Own(NamedTuple):
+    """A file of this run, and what it is known by."""
+
+    path: str
+    identity: os.stat_result | None
+    closed: bool = False
+
+    def is_there(self) -> bool:
+        """Return whether the path is still the name of the file."""
+        try:
+            there = os.stat(self.path)  # noqa: PTH116
+        except OSError:
+            return False
+        if self.identity is None:
+            return True
+        # The number of a file that is gone is soon that of another one: see the size, too.
+        same_size = not self.closed or there.st_size == self.identity.st_size
+        return same_size and os.path.samestat(there, self.identity)
 
 
 class _Piece(NamedTuple):
@@ -70,7 +93,14 @@ class Recorder(Uncopied):
     decoded, and moves the bytes on. Files begin and end between two packets, so that each
     can be decoded by itself. `force`: files of these names are replaced, numbers begin with 1.
 
-    Law: `bytes_in == bytes_recorded + bytes_passed` after `close`, if the disk was never full.
+    A file that is removed, replaced or renamed while it is open has `vanished`, and what comes
+    goes into a new one: of the same name, or a numbered one where files are numbered or the
+    name is another file's; a folder that is gone is made again. The bytes of one that was
+    renamed are recorded, the others are `bytes_vanished`. OSError where another recorder has
+    the name.
+
+    Law: `bytes_in == bytes_recorded + bytes_passed + bytes_vanished` after `close`, if the
+    disk was never full.
 
     FileExistsError, FileNotFoundError, PermissionError for a path that will not do: by the
     constructor, which makes no file. OSError of the disk from `start`, `advance` and `close`:
@@ -106,6 +136,8 @@ class Recorder(Uncopied):
 
         self.bytes_in = 0
         self.bytes_passed = 0  # not recorded on purpose: no trigger was near
+        self.bytes_vanished = 0  # in files that were removed while they were open
+        self.vanished = 0  # files that were removed, replaced or renamed while they were open
         self.bytes_unsure = 0  # written, but not known to be on the disk
         self.triggers = 0
         self.files = 0  # that were opened
@@ -123,7 +155,7 @@ class Recorder(Uncopied):
         self._file_ns = self._file_bytes = 0
         self._last_ns = 0  # of what was recorded last
         self._broken = False  # the disk is full, or away
-        self._own: deque[str] = deque()  # files of this run that are there
+        self._own: deque[_Own] = deque()  # files of this run that are there
 
     @property
     def bytes_recorded(self) -> int:
@@ -148,6 +180,11 @@ class Recorder(Uncopied):
         """Whether what comes is recorded, and does not wait for a trigger."""
         return self._writer is not None and not self._waiting
 
+    @property
+    def files_kept(self) -> list[str]:
+        """The paths of the files of this run that are there, oldest first."""
+        return [own.path for own in self._own if own.is_there()]
+
     def start(self, now_ns: int) -> None:
         """Open the first file, where none waits for a trigger."""
         if self._window_ns is None:
@@ -164,6 +201,14 @@ class Recorder(Uncopied):
         `triggers`: epoch nanoseconds, ascending, of what has happened in the bytes that this
         moves on; they are recorded in any case.
         """
+        self._move_on(border, triggers)
+        if self._writer is not None and not self._broken:
+            with self._breaking():
+                self._writer.poll(now_ns)
+            if self._writer.vanished:
+                self._replace(now_ns)
+
+    def _move_on(self, border: int, triggers: Iterable[int] = ()) -> None:
         if self._broken:
             return
         segment = self._settle(border)
@@ -181,9 +226,6 @@ class Recorder(Uncopied):
             while self._waiting_size > MEMORY:
                 self.out_of_memory = True
                 self._pass_oldest()
-        if self._writer is not None:
-            with self._breaking():
-                self._writer.poll(now_ns)
 
     def arrival_of(self, offset: int) -> int:
         """Return when the byte at a stream offset came that no `advance` has passed by."""
@@ -198,7 +240,7 @@ class Recorder(Uncopied):
         """Record what is held, and close the file. May be called again."""
         try:
             if self._window_ns is not None or self._writer is not None:
-                self.advance(self.bytes_in, self._last_ns)
+                self._move_on(self.bytes_in)
             while self._waiting and not self._broken:
                 self._pass_oldest()
         finally:
@@ -292,9 +334,23 @@ class Recorder(Uncopied):
         overhead = _FILE_OVERHEAD + (self._writer.blocks_written + 2) * _BLOCK_OVERHEAD
         return self._size is not None and self._file_bytes + size + overhead > self._size
 
+    def _replace(self, now_ns: int) -> None:
+        """Go on in a new file: the open one has vanished."""
+        file = self._file
+        self._close_file()
+        with contextlib.suppress(PermissionError):  # not even that can be told
+            if is_locked(Path(file)):
+                self._broken = True
+                raise OSError(errno.EBUSY, "another program records into it now", file)
+        if self._window_ns is None:
+            self._open(now_ns)
+
     def _open(self, ns: int) -> None:
+        if self.vanished:
+            with self._breaking():
+                self._path.parent.mkdir(parents=True, exist_ok=True)
         while True:
-            self._number += 1
+            self._number += self._numbered
             path = self._name()
             if self._force:
                 path.unlink(missing_ok=True)
@@ -303,19 +359,22 @@ class Recorder(Uncopied):
                     self._writer = RecordingWriter(path, self._info)
                 break
             except FileExistsError:
+                if self.vanished:
+                    self._numbered = True  # the file that has the name now stays
                 if not self._numbered:
                     raise
                 # Somebody else counts here, too: theirs stays, and the next number is ours.
         self._file, self._file_ns, self._file_bytes = str(path), ns, 0
         self.files += 1
         self.last_file = self._file
-        self._own.append(self._file)
+        self._own.append(_Own(self._file, self._writer.identity))
         self.events.append(Event("opened", self._file, ns))
         if self._keep is not None and len(self._own) > self._keep:
             oldest = self._own.popleft()
-            # Somebody may have fetched it and taken it away.
-            Path(oldest).unlink(missing_ok=True)
-            self.events.append(Event("deleted", oldest, ns))
+            # It may have been taken away, and another file may have its name.
+            if oldest.is_there():
+                Path(oldest.path).unlink(missing_ok=True)
+                self.events.append(Event("deleted", oldest.path, ns))
 
     def _close_file(self) -> None:
         if self._writer is None:
@@ -325,10 +384,25 @@ class Recorder(Uncopied):
             with self._breaking():
                 writer.close()
         finally:
+            self._writer, self._file = None, ""
+            self._account(writer, file)
+
+    def _account(self, writer: RecordingWriter, file: str) -> None:
+        """Count what is in a file that was closed, and tell of it."""
+        if writer.vanished:
+            self._own.pop()
+            self.vanished += 1
+            # What has come to its name since is none of the files that may be replaced.
+            self._force = self._force and self._numbered
+            lost = 0 if writer.renamed else writer.bytes_written
+            self.events.append(Event("vanished", file, self._last_ns, lost, writer.renamed))
+            self.bytes_vanished += lost
+        else:
+            self._own[-1] = _Own(file, writer.identity, closed=True)
+            self.events.append(Event("closed", file, self._last_ns))
+        if not writer.vanished or writer.renamed:
             self._recorded += writer.bytes_synced
             self.bytes_unsure += writer.bytes_written - writer.bytes_synced
-            self._writer, self._file = None, ""
-            self.events.append(Event("closed", file, self._last_ns))
 
     @contextlib.contextmanager
     def _breaking(self) -> Iterator[None]:
