@@ -1,5 +1,6 @@
 """What the bytes of a file are: by how they begin, by what fits them, by what was skipped."""
 
+import shlex
 from typing import Final
 
 from canser._binding import BytesLike
@@ -66,7 +67,7 @@ class ForeignFormatError(FormatError):
     def __init__(self, name: str, found: Foreign) -> None:
         self.found = found
         self.what = f"{name} is {found.name}, not raw bytes"
-        super().__init__(f"{self.what}; {found.remedy.replace('FILE', name)}")
+        super().__init__(f"{self.what}; {found.remedy.replace('FILE', shlex.quote(name))}")
 
 
 def check_protocol(protocol: str | None, ts_unit: str | None) -> None:
