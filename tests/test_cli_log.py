@@ -460,6 +460,62 @@ def test_closed_streams(tmp_path: Path) -> None:
     assert b"the standard output is closed" in done.stderr
 
 
+# The old file that --force replaces
+
+
+def test_force_replaces_the_old_file_once_there_are_bytes(tmp_path: Path, device: "Device") -> None:
+    path, old = tmp_path / "run.pcapng", tmp_path / "run.pcapng.old"
+    path.write_text("old")
+    with running(tmp_path, *log("--force", "--json", "run.pcapng")) as run:
+        run.wait_object("opened")
+        assert old.read_text() == "old"
+        device.write(RAW)
+        until(lambda: not old.exists())
+        assert path.stat().st_size > 1000
+        assert run.end(signal.SIGINT) == GOOD
+    assert content(path) == RAW
+
+
+@pytest.mark.usefixtures("device")
+def test_force_gives_the_old_file_back_where_no_byte_came(tmp_path: Path) -> None:
+    path = tmp_path / "run.pcapng"
+    path.write_text("old")
+    with running(tmp_path, *log("--force", "run.pcapng")) as run:
+        run.wait_line("recording into")
+        assert run.end(signal.SIGINT) == GOOD
+    assert f"nothing was recorded, and there is the old file again: {path}" in run.err
+    assert "recorded: 0 bytes in 1 file, 0 kept" in run.err
+    assert path.read_text() == "old"
+    assert [one.name for one in tmp_path.glob("run*")] == ["run.pcapng"]
+
+
+@pytest.mark.usefixtures("device")
+def test_kill_leaves_the_old_file_and_the_next_run_does_not_touch_it(tmp_path: Path) -> None:
+    path, old = tmp_path / "run.pcapng", tmp_path / "run.pcapng.old"
+    path.write_text("old")
+    with running(tmp_path, *log("--force", "run.pcapng")) as run:
+        run.wait_line("recording into")
+        run.end(signal.SIGKILL)
+    assert old.read_text() == "old"
+    with running(tmp_path, *log("--force", "run.pcapng")) as run:
+        assert run.end() == BAD_CALL
+    assert len(run.err) == 1
+    assert f"{old} is there already" in run.err[0]
+    assert old.read_text() == "old"
+
+
+@pytest.mark.usefixtures("device")
+def test_force_does_not_replace_a_file_that_is_recorded_into(tmp_path: Path) -> None:
+    path = tmp_path / "run.pcapng"
+    with (
+        RecordingWriter(path, RecordingInfo("seeed", 1, None, "ms", "x")),
+        running(tmp_path, *log("--force", "run.pcapng")) as run,
+    ):
+        assert run.end() == BAD_CALL
+    assert len(run.err) == 1
+    assert f"another program records into {path}" in run.err[0]
+
+
 # Files that are removed, replaced or renamed while they are open
 
 
@@ -671,6 +727,7 @@ def test_a_port_in_use(tmp_path: Path) -> None:
         (["run.pcapng", "--baudrate", "0"], "1 or more"),
         (["run.pcapng", "--ping", "1s"], "know no ping"),
         (["run.pcapng", "-c", "/dev/nothing"], "there is no port"),
+        (["there.pcapng", "--force", "-c", "/dev/nothing"], "there is no port"),
         (["run.pcapng", "-c", "ftp://x"], "cannot open"),
         (["run.pcapng", "-p", "seed"], "unknown protocol"),
         ([], "OUT"),

@@ -57,6 +57,7 @@ FLOORS = [
         "canser.doubt",
         "canser.live.link",
         "canser.parallel",
+        "canser.recordings._old",
         "canser.sinks",
     ],
     [

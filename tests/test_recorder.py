@@ -15,7 +15,7 @@ import canser
 import canser.recordings.recorder
 import shared  # noqa: F401 - Hypothesis' settings
 from canser.recordings.recorder import Recorder
-from canser.recordings.recording import Recording, RecordingInfo
+from canser.recordings.recording import Recording, RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
 
 INFO = RecordingInfo("seeed", 2_000_000, 500_000, "ms", "/dev/test")
@@ -581,3 +581,148 @@ def test_a_file_system_that_does_not_know_its_files_is_not_asked(
     recorder.close()
     assert vanished(recorder) == []
     assert len(names(tmp_path)) == 2
+
+
+# The old file that is replaced by force
+
+
+def old_files(recorder: Recorder) -> list[tuple[str, str]]:
+    return [
+        (event.kind, Path(event.path).name)
+        for event in recorder.events
+        if event.kind in ("restored", "set_aside")
+    ]
+
+
+@pytest.fixture(params=[False, True], ids=["one", "numbered"])
+def forced(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Recorder, Path]:
+    """Return a recorder that replaces an old file, and its path."""
+    path = tmp_path / ("run-000001.pcapng" if request.param else "run.pcapng")
+    path.write_text("old")
+    size = 1 << 20 if request.param else None
+    return Recorder(str(tmp_path / "run.pcapng"), INFO, force=True, size=size), path
+
+
+def test_the_old_file_is_deleted_when_bytes_are_on_the_disk(forced: tuple[Recorder, Path]) -> None:
+    recorder, path = forced
+    old = path.with_name(f"{path.name}.old")
+    assert path.read_text() == "old"
+    recorder.start(START)
+    recorder.advance(0, START)
+    recorder.advance(0, START + 5 * SECOND)  # the header is on the disk, and no byte
+    assert old.read_text() == "old"
+    recorder.write(FIRST, START + 6 * SECOND)
+    recorder.advance(recorder.bytes_in, START + 6 * SECOND)
+    recorder.advance(recorder.bytes_in, START + 7 * SECOND)
+    assert names(path.parent) == [path.name]
+    recorder.close()
+    assert content(path) == FIRST
+    assert old_files(recorder) == []
+
+
+def test_bytes_of_less_than_a_second_replace_it_too(forced: tuple[Recorder, Path]) -> None:
+    recorder, path = forced
+    recorder.start(START)
+    recorder.write(FIRST, START)
+    recorder.close()
+    assert names(path.parent) == [path.name]
+    assert content(path) == FIRST
+
+
+def test_the_old_file_comes_back_when_no_byte_came(forced: tuple[Recorder, Path]) -> None:
+    recorder, path = forced
+    recorder.start(START)
+    assert names(path.parent) == [path.name, f"{path.name}.old"]
+    recorder.close()
+    assert names(path.parent) == [path.name]
+    assert path.read_text() == "old"
+    assert old_files(recorder) == [("restored", path.name)]
+    assert recorder.files_kept == []
+
+
+@pytest.mark.parametrize("room", [0, 1000], ids=["header", "first block"])
+def test_the_old_file_comes_back_when_the_disk_is_full_at_once(
+    forced: tuple[Recorder, Path], room: int
+) -> None:
+    resource = pytest.importorskip("resource")
+    recorder, path = forced
+    bounds = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def record() -> None:
+        recorder.start(START)
+        feed(recorder, every=300 * MS)
+
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, bounds[1]))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            record()
+        assert recorder.files == bool(room)
+        recorder.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, bounds)
+    assert names(path.parent) == [path.name]
+    assert path.read_text() == "old"
+
+
+def test_both_files_stay_where_it_is_not_sure_that_the_new_one_holds_anything(
+    forced: tuple[Recorder, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorder, path = forced
+    recorder.start(START)
+
+    def fail(_: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as patch:
+        for name in {"fsync", "fdatasync"} & set(dir(os)):
+            patch.setattr(os, name, fail)
+        recorder.write(FIRST, START)
+        with pytest.raises(OSError, match="Input/output"):
+            recorder.close()
+    assert path.with_name(f"{path.name}.old").read_text() == "old"
+    assert path.exists()
+    assert old_files(recorder) == [("set_aside", f"{path.name}.old")]
+
+
+@posix
+def test_the_old_file_stays_where_the_new_one_vanishes_at_once(
+    forced: tuple[Recorder, Path],
+) -> None:
+    recorder, path = forced
+    recorder.start(START)
+    path.unlink()
+    recorder.close()
+    assert names(path.parent) == [f"{path.name}.old"]
+    assert old_files(recorder) == [("set_aside", f"{path.name}.old")]
+
+
+def test_an_old_file_that_was_set_aside_earlier_is_not_replaced(tmp_path: Path) -> None:
+    """By a run that was killed: it may be the only copy."""
+    for number in ("", "-000001"):
+        path = tmp_path / f"run{number}.pcapng"
+        path.write_text("new")
+        old = tmp_path / f"run{number}.pcapng.old"
+        old.write_text("old")
+        with pytest.raises(FileExistsError, match=rf"{old.name} is there already, as a run"):
+            Recorder(
+                str(tmp_path / "run.pcapng"), INFO, force=True, size=1 << 20 if number else None
+            )
+        assert (path.read_text(), old.read_text()) == ("new", "old")
+
+
+def test_a_file_that_is_recorded_into_is_not_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "run.pcapng"
+    with RecordingWriter(path, INFO) as writer:
+        with pytest.raises(FileExistsError, match=r"another program records into .*run\.pcapng"):
+            Recorder(str(path), INFO, force=True)
+        writer.write(b"abc", START)
+    assert content(path) == b"abc"
+
+
+def test_numbered_files_that_may_not_be_replaced_are_left_out(tmp_path: Path) -> None:
+    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, force=True, size=1 << 20)
+    (tmp_path / "run-000001.pcapng").mkdir()
+    with RecordingWriter(tmp_path / "run-000002.pcapng", INFO):
+        recorder.start(START)
+        assert recorder.file == str(tmp_path / "run-000003.pcapng")
+        recorder.close()

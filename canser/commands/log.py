@@ -22,6 +22,8 @@ With --json each line on standard output is an object with a `type` and a `time`
     vanished  a file that was removed, replaced or renamed while it was open: path;
              renamed: whether its bytes are there, under a new name; lost: bytes that are gone.
              The recording goes on in another file, and the exit code is 1
+    restored, set_aside  the old file that --force replaces has its name back, as nothing was
+             recorded; or stays as NAME.old, as it is not sure that anything was: path
     trigger  path: of the file that was open, or ""
     gap      offset: in the stream; lost: bytes, -1 where nobody knows; reason: "overflow",
              "reconnect" or "watchdog"
@@ -85,6 +87,14 @@ _REASONS: Final = {
     "watchdog": "the ping did not come back",
 }
 
+_ABOUT_FILES: Final = {
+    "opened": "recording into",
+    "closed": "closed",
+    "deleted": "deleted",
+    "restored": "nothing was recorded, and there is the old file again:",
+    "set_aside": "the old file stays:",
+}
+
 
 def add(commands: Commands) -> None:
     """Add the command."""
@@ -102,7 +112,12 @@ def add(commands: Commands) -> None:
         parents=[port_arguments(), staying_arguments()],
     )
     parser.add_argument("target", metavar="OUT", help="a .pcapng file")
-    parser.add_argument("--force", action="store_true", help="replace files that are there")
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="replace files that are there: an old one is OUT.old until the first bytes are on "
+        "the disk, and gets its name back if none ever are",
+    )
     parser.add_argument(
         "--json",
         action="store_true",
@@ -396,8 +411,7 @@ class _Log:
                 when = datetime.fromtimestamp(ts / 1e9).astimezone()
                 self._teller.event("trigger", f"trigger at {when:%H:%M:%S.%f}", ts, path=path)
             elif kind != "closed" or self._teller.status is None:
-                verb = "recording into" if kind == "opened" else "deleted"
-                self._teller.event(kind, f"{verb} {path}", ts, path=path)
+                self._teller.event(kind, f"{_ABOUT_FILES[kind]} {path}", ts, path=path)
         if recorder.out_of_memory and not self._told_memory:
             self._told_memory = True
             self._teller.warn(

@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 from canser._guards import Uncopied
 from canser._output import OutputExistsError
 from canser.recordings._lock import is_locked
+from canser.recordings._old import OldFile, check_replaceable
 from canser.recordings.recording import RecordingInfo, RecordingWriter
 
 __all__ = ["MEMORY", "SUFFIX", "Event", "Recorder"]
@@ -31,7 +32,8 @@ _BLOCK_OVERHEAD: Final = 72
 class Event(NamedTuple):
     """What has become of a file, or why it was begun."""
 
-    kind: str  # "opened", "closed", "deleted", "vanished", "trigger"
+    kind: str  # "opened", "closed", "deleted", "vanished", "trigger", and of a file that was set
+    # aside: "restored", "set_aside" where it stays so
     path: str  # of the file; of a trigger the one that was open, or ""
     ts: int  # epoch nanoseconds
     lost: int = 0  # bytes of the line that are gone with a file that has vanished
@@ -91,7 +93,10 @@ class Recorder(Uncopied):
 
     `write` takes the bytes, as the `tap` of a port; `advance` then tells how far packets are
     decoded, and moves the bytes on. Files begin and end between two packets, so that each
-    can be decoded by itself. `force`: files of these names are replaced, numbers begin with 1.
+    can be decoded by itself.
+
+    `force`: files of these names are replaced, numbers begin with 1. The old file is NAME.old
+    until the first bytes of the line are on the disk; it gets its name back if none ever are.
 
     A file that is removed, replaced or renamed while it is open has `vanished`, and what comes
     goes into a new one: of the same name, or a numbered one where files are numbered or the
@@ -155,6 +160,7 @@ class Recorder(Uncopied):
         self._file_ns = self._file_bytes = 0
         self._last_ns = 0  # of what was recorded last
         self._broken = False  # the disk is full, or away
+        self._old: OldFile | None = None  # what `force` set aside for the open file
         self._own: deque[_Own] = deque()  # files of this run that are there
 
     @property
@@ -205,6 +211,7 @@ class Recorder(Uncopied):
         if self._writer is not None and not self._broken:
             with self._breaking():
                 self._writer.poll(now_ns)
+            self._settle_old(self._writer, closed=False)
             if self._writer.vanished:
                 self._replace(now_ns)
 
@@ -351,12 +358,10 @@ class Recorder(Uncopied):
                 self._path.parent.mkdir(parents=True, exist_ok=True)
         while True:
             self._number += self._numbered
-            path = self._name()
-            if self._force:
-                path.unlink(missing_ok=True)
+            path = self._name(self._number)
             try:
                 with self._breaking():
-                    self._writer = RecordingWriter(path, self._info)
+                    self._writer = self._create(path)
                 break
             except FileExistsError:
                 if self.vanished:
@@ -376,6 +381,39 @@ class Recorder(Uncopied):
                 Path(oldest.path).unlink(missing_ok=True)
                 self.events.append(Event("deleted", oldest.path, ns))
 
+    def _create(self, path: Path) -> RecordingWriter:
+        """Return a new file; a file that is there is set aside if it may be replaced."""
+        old = OldFile(path) if self._force and os.path.lexists(path) else None
+        try:
+            writer = RecordingWriter(path, self._info)
+        except BaseException:
+            if old is not None:
+                old.put_back()
+            raise
+        self._old = old
+        return writer
+
+    def _settle_old(self, writer: RecordingWriter, *, closed: bool) -> None:
+        """Delete the file that was set aside, or put it back, as soon as it is known which."""
+        old = self._old
+        if old is None:
+            return
+        gone = writer.vanished and not writer.renamed
+        try:
+            if writer.bytes_synced and not gone:
+                old.delete()
+            elif not closed:
+                return
+            elif not writer.bytes_written and not writer.vanished:
+                old.put_back()
+                self._own.pop()
+                self.events.append(Event("restored", str(old.name), self._last_ns))
+            else:
+                self.events.append(Event("set_aside", str(old.path), self._last_ns))
+        except OSError:  # the recording goes on
+            self.events.append(Event("set_aside", str(old.path), self._last_ns))
+        self._old = None
+
     def _close_file(self) -> None:
         if self._writer is None:
             return
@@ -386,6 +424,7 @@ class Recorder(Uncopied):
         finally:
             self._writer, self._file = None, ""
             self._account(writer, file)
+            self._settle_old(writer, closed=True)
 
     def _account(self, writer: RecordingWriter, file: str) -> None:
         """Count what is in a file that was closed, and tell of it."""
@@ -415,10 +454,10 @@ class Recorder(Uncopied):
             self._broken = True
             raise
 
-    def _name(self) -> Path:
+    def _name(self, number: int) -> Path:
         if not self._numbered:
             return self._path
-        return self._path.with_name(f"{self._path.stem}-{self._number:06}{self._path.suffix}")
+        return self._path.with_name(f"{self._path.stem}-{number:06}{self._path.suffix}")
 
     def _last_number(self, path: str) -> int:
         """Return the highest number of a file that is there; see that one can be made."""
@@ -429,13 +468,13 @@ class Recorder(Uncopied):
         found = [int(hit[1]) for entry in os.listdir(folder) if (hit := name.fullmatch(entry))]  # noqa: PTH208
         if not os.access(folder, os.W_OK):
             raise PermissionError(errno.EACCES, "no file can be made here", str(folder))
-        if self._numbered:
-            return 0 if self._force else max(found, default=0)
-        if os.path.lexists(self._path):
+        if self._numbered and not self._force:
+            return max(found, default=0)
+        first = self._name(1)
+        if os.path.lexists(first):
             if not self._force:
                 raise OutputExistsError(f"{path} is there already; --force replaces it")
-            if not self._path.is_file():
-                raise OutputExistsError(f"{path} is no file; name one")
+            check_replaceable(first)
         return 0
 
 
