@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import canser
+from canser.cli import main
 from canser.frames import FRAME_DTYPE, FrameArray
 from canser.recordings.recording import Recording, RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
@@ -458,6 +459,14 @@ def test_closed_streams(tmp_path: Path) -> None:
     done = subprocess.run(without(1), cwd=tmp_path, capture_output=True, check=False)
     assert done.returncode == BAD_CALL
     assert b"the standard output is closed" in done.stderr
+
+
+def test_the_help_says_what_the_options_promise(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["log", "--help"])
+    text = " ".join(capfd.readouterr().out.split())
+    assert "--before TIME record at least this time before a trigger" in text
+    assert "rotation: OUT run.pcapng is then run-000001.pcapng" in text
 
 
 # The old file that --force replaces

@@ -88,11 +88,11 @@ def port_arguments() -> argparse.ArgumentParser:
 def staying_arguments() -> argparse.ArgumentParser:
     """Return the arguments of commands that stay at a port."""
     staying = Parser(add_help=False)
-    group = staying.add_argument_group("staying")
+    group = staying.add_argument_group("duration and reconnect")
     group.add_argument(
         "--reconnect",
         action="store_true",
-        help="when the device is gone wait for it, and go on; the gap is told",
+        help="when the device is gone wait for it, and go on; the gap is reported",
     )
     group.add_argument(
         "--ping",

@@ -124,12 +124,12 @@ def add(commands: Commands) -> None:
         help="a JSON object a second, and one for each event, on standard output; where they "
         "cannot be written the recording goes on, and the exit code is 1",
     )
-    turns = parser.add_argument_group(
-        "files by turns", "OUT run.pcapng is then run-000001.pcapng and so on"
+    rotation = parser.add_argument_group(
+        "rotation", "OUT run.pcapng is then run-000001.pcapng and so on"
     )
-    turns.add_argument("--size", type=_size, help="bytes of a file at most, such as 100M")
-    turns.add_argument("--time", type=duration, help="time in a file at most, such as 1h")
-    turns.add_argument(
+    rotation.add_argument("--size", type=_size, help="bytes of a file at most, such as 100M")
+    rotation.add_argument("--time", type=duration, help="time in a file at most, such as 1h")
+    rotation.add_argument(
         "--keep",
         metavar="N",
         type=whole(least=1),
@@ -146,8 +146,18 @@ def add(commands: Commands) -> None:
         "ID:MASK, ID~MASK or #MASK, hexadecimal; or 'error': an error frame or an error that the "
         "adapter reports; several: any of them",
     )
-    events.add_argument("--before", metavar="TIME", type=duration, help="(default: 5s)")
-    events.add_argument("--after", metavar="TIME", type=duration, help="(default: 5s)")
+    events.add_argument(
+        "--before",
+        metavar="TIME",
+        type=duration,
+        help="record at least this time before a trigger (default: 5s)",
+    )
+    events.add_argument(
+        "--after",
+        metavar="TIME",
+        type=duration,
+        help="record at least this time after a trigger (default: 5s)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:

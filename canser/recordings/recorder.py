@@ -1,4 +1,4 @@
-"""Where the bytes of a live port go: into one file, files by turns, or what surrounds a trigger."""
+"""Where the bytes of a live port go: into one file, a rotation of files, or around triggers."""
 
 import contextlib
 import errno
@@ -136,7 +136,7 @@ class Recorder(Uncopied):
         if window_ns is not None and min(window_ns) < 0:
             raise ValueError(f"window_ns is {window_ns}; times before and after are 0 or more")
         if keep is not None and not self._numbered:
-            raise ValueError("keep is about files by turns; give their size or time, too")
+            raise ValueError("keep is about rotation; to rotate files give their size or time, too")
         self._number = self._last_number(path)
 
         self.bytes_in = 0
