@@ -153,9 +153,10 @@ class GrowingArray(_Array):
         self._out = larger
 
 
-# glibc maps a block of this size or more from the system, unless one as large was freed before
-# (mallopt(3), M_MMAP_THRESHOLD).
+# glibc maps blocks of 128 KiB and more from the system, unless one as large was freed before;
+# blocks over 32 MiB always (mallopt(3), M_MMAP_THRESHOLD).
 _MAPPED = (128 << 10) // FRAME_DTYPE.itemsize
+_ALWAYS_MAPPED = (32 << 20) // FRAME_DTYPE.itemsize
 
 
 def _make_room(cap: int) -> FrameArray:
@@ -165,6 +166,6 @@ def _make_room(cap: int) -> FrameArray:
     was mapped has new pages each time: a loop over `decode` would take ten times as long.
     One as large is freed first, untouched: from then on the C library keeps such blocks.
     """
-    if cap >= _MAPPED:
+    if _MAPPED <= cap <= _ALWAYS_MAPPED:
         np.empty(cap * FRAME_DTYPE.itemsize, np.uint8)
     return np.empty(cap, FRAME_DTYPE)
