@@ -1,11 +1,11 @@
 """What an adapter understands besides frames: its line, its configuration, its reports."""
 
-import operator
 from dataclasses import dataclass
 from typing import Final
 
 from canser import _binding
 from canser._binding import MODE_NAMES, BytesLike
+from canser._checks import flag, whole
 
 __all__ = [
     "FRAME_TYPES",
@@ -95,12 +95,13 @@ def configuration(
     1 in the mask; all pass with 0. `once`: a frame that nobody acknowledged is not sent
     again. `fixed`: the adapter reports frames in packets of one length.
 
-    ValueError if the protocol has no configuration, or for a value that it does not know.
+    ValueError if the protocol has no configuration, or for a value that it does not know;
+    TypeError for one of another type.
     """
     row = _binding.find_protocol(protocol)
     if not row.bitrates:
         raise ValueError(f"{row.name} adapters take no configuration; leave bitrate out")
-    rate = operator.index(bitrate)
+    rate = whole(bitrate, "bitrate", "500000")
     if rate not in row.bitrates:
         have = ", ".join(map(str, row.bitrates))
         raise ValueError(f"bitrate {rate} is none of the adapter's: {have}")
@@ -110,8 +111,8 @@ def configuration(
         filter_mask=_id(filter_mask, "filter_mask"),
         mode=_place(mode, "mode", MODE_NAMES),
         ext_only=bool(_place(frame_type, "frame_type", FRAME_TYPES)),
-        once=bool(once),
-        fixed=bool(fixed),
+        once=flag(once, "once"),
+        fixed=flag(fixed, "fixed"),
     )
     return _binding.configure(row, config)
 
@@ -161,7 +162,7 @@ def _place(name: str, what: str, names: tuple[str, ...]) -> int:
 
 def _id(value: int, name: str) -> int:
     """Return an id or its mask, or raise."""
-    number = operator.index(value)
+    number = whole(value, name, "0x123")
     if not 0 <= number <= _ID_MAX:
         raise ValueError(f"{name} is {number:#x}; it must be 0 to {_ID_MAX:#x}")
     return number

@@ -16,6 +16,7 @@ PACKAGE = Path(canser.__file__).parent
 # The floors of the house. A module imports from the floors below its own only.
 FLOORS = [
     [
+        "canser._checks",
         "canser._named",
     ],
     [

@@ -305,6 +305,9 @@ _BURST: Final = 1 << 16
 # asked for first.
 _SOME: Final = 1024
 
+# poll() takes no longer time, in milliseconds: an int of C.
+_POLL_MAX_MS: Final = (1 << 31) - 1
+
 # A line is dead when the system says one of these.
 _DEAD: Final = {
     errno.EIO, errno.ENXIO, errno.ENODEV, errno.EPIPE, errno.ECONNRESET, errno.ETIMEDOUT,
@@ -330,7 +333,8 @@ class _Descriptor:
         # On a busy line there is mostly something: asking first would cost a third more.
         count = self._read(room) if self._busy else None
         if count is None:
-            ready = self._readable.poll(None if timeout is None else max(timeout, 0) * 1000)
+            ms = None if timeout is None else min(max(timeout, 0) * 1000, _POLL_MAX_MS)
+            ready = self._readable.poll(ms)
             if any(fd == self._woken for fd, _ in ready):
                 os.read(self._woken, 64)
             elif ready:

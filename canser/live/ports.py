@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import math
 import os
 import sys
 import threading
@@ -16,6 +17,8 @@ import numpy.typing as npt
 
 from canser import adapters
 from canser._binding import BytesLike, as_bytes, find_protocol, input_frames, output_frames
+from canser._checks import flag, real, text, whole
+from canser._checks import timeout as check_timeout
 from canser._guards import Uncopied
 from canser.adapters import Report
 from canser.codec import Control, Decoder, Stats, decode, encode
@@ -85,6 +88,7 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
     ValueError and TypeError for the caller's mistakes; PortNotFoundError,
     PortDeniedError, PortBusyError, PortError for a port that cannot be opened.
     """
+    text(url, "url", "'/dev/ttyUSB0'")
     row = find_protocol(protocol)
     settings: dict[str, Any] = {
         "mode": mode,
@@ -98,17 +102,17 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
         greeting = adapters.configuration(row.name, bitrate=bitrate, **settings)
     elif settings != _UNSET:
         raise ValueError("the adapter is configured as a whole: give its bitrate, too")
-    rate = adapters.baudrate(row.name) if baudrate is None else baudrate
-    if device_time and not row.has_clock:
+    rate = adapters.baudrate(row.name)
+    if baudrate is not None:
+        rate = whole(baudrate, "baudrate", "115200", least=1)
+    if flag(device_time, "device_time") and not row.has_clock:
         raise ValueError(f"{row.name} frames carry no device time; leave device_time out")
-    if rate < 1:
-        raise ValueError(f"baudrate is {rate}; it must be 1 or more")
-    if ring_size < _RING_LEAST:
-        raise ValueError(f"ring_size is {ring_size}; it must be {_RING_LEAST} or more")
     if ping is not None and not adapters.ping(row.name):
         raise ValueError(f"{row.name} adapters know no ping; leave ping out")
-    if ping is not None and not ping > 0:
-        raise ValueError(f"ping is {ping}; it must be more than 0 seconds")
+    if ping is not None and not 0 < real(ping, "ping", "1.0") < math.inf:
+        raise ValueError(f"ping is {ping}; it must be more than 0 seconds, and not infinite")
+    if tap is not None and not callable(tap):
+        raise TypeError(f"tap is {tap!r}; it must be a function of data, arrival_ns and lost")
     return Port(
         url,
         Decoder(row.name, ts_unit=ts_unit),
@@ -116,10 +120,10 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
         bitrate=bitrate,
         ts_unit=ts_unit,
         device_time=device_time,
-        ring_size=ring_size,
-        flush=flush,
-        reconnect=reconnect,
-        ping=ping,
+        ring_size=whole(ring_size, "ring_size", "8 << 20", least=_RING_LEAST),
+        flush=flag(flush, "flush"),
+        reconnect=flag(reconnect, "reconnect"),
+        ping=None if ping is None else float(ping),
         tap=tap,
         greeting=greeting,
     )
@@ -167,7 +171,12 @@ class Port(Uncopied):
         self._ts_unit, self._clocked, self._frame_min = ts_unit, row.has_clock, row.frame_min
         self._clock = host_clock()
         self._opened_ns = self._clock()
-        self._ring = Ring(ring_size)
+        try:
+            self._ring = Ring(ring_size)
+        except (MemoryError, OverflowError):
+            raise ValueError(
+                f"ring_size is {ring_size}; it must be bytes that the system has memory for"
+            ) from None
         stamper = Stamper(row.has_clock, _BITS * 1e9 / baudrate, row.frame_max)
         self._ping_s = ping or 0.0
         self._stream = LiveStream(
@@ -237,9 +246,9 @@ class Port(Uncopied):
         """
         self._check_open()
         room = self._check_room(out, max_frames)
-        if not 0 <= min_frames <= len(room):
+        if not 0 <= whole(min_frames, "min_frames", "1") <= len(room):
             raise ValueError(f"min_frames is {min_frames}; it must be 0 to {len(room)}, the room")
-        deadline = None if timeout is None else time.monotonic() + timeout
+        deadline = _deadline(timeout)
         count = 0
         if self._take_turn(deadline):
             try:
@@ -279,6 +288,8 @@ class Port(Uncopied):
         """
         import asyncio  # noqa: PLC0415 - imported where it is used: it takes 30 ms
 
+        max_frames = whole(max_frames, "max_frames", "4096", least=1)
+        pause = check_timeout(timeout)
         loop, came = asyncio.get_running_loop(), asyncio.Event()
 
         def tell() -> None:
@@ -291,7 +302,7 @@ class Port(Uncopied):
                 wanted = max_frames * self._frame_min
                 self._ring.listen(wanted, tell)
                 with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(came.wait(), timeout)
+                    await asyncio.wait_for(came.wait(), pause)
                 try:
                     batch = self.read_batch(max_frames=max_frames, timeout=0)
                 except PortClosedError:
@@ -376,6 +387,7 @@ class Port(Uncopied):
         sent: its rest goes out before anything else.
         """
         self._check_open()
+        timeout = check_timeout(timeout)
         input_frames(frames)  # before its times are asked for
         if self._clocked:
             unknown = frames["ts"] == NO_TIME
@@ -401,6 +413,7 @@ class Port(Uncopied):
         SendError (SendTimeoutError), whose `sent` is 0, when not all could be sent.
         """
         self._check_open()
+        timeout = check_timeout(timeout)
         raw = as_bytes(data).tobytes()
         written, why = self._link.write(raw, timeout, lambda _: 0)
         if why:
@@ -413,7 +426,8 @@ class Port(Uncopied):
         PortGoneError when the device is gone.
         """
         self._check_open()
-        deadline = None if timeout is None else time.monotonic() + timeout
+        timeout = check_timeout(timeout)
+        deadline = _deadline(timeout)
         # What is left of a frame that a time-out of `send` has cut.
         _, why = self._link.write(b"", timeout, lambda _: 0)
         while True:
@@ -467,7 +481,7 @@ class Port(Uncopied):
         self._greeting.data, self.bitrate = greeting, bitrate
         time.sleep(_SETTLE)
 
-    def request_status(self, *, timeout: float = 1.0) -> Report:
+    def request_status(self, *, timeout: float | None = 1.0) -> Report:
         """Ask the adapter for its status, and return the answer.
 
         Frames that come meanwhile are returned by the next reads. ValueError where the
@@ -476,20 +490,20 @@ class Port(Uncopied):
         request = adapters.status_request(self.protocol)
         if not request:
             raise ValueError(f"{self.protocol} adapters know no status request")
-        deadline = time.monotonic() + timeout
+        deadline = _deadline(timeout)
         self._stream.status = None
         self.send_raw(request, timeout=timeout)
         while (status := self._stream.status) is None:
             self._check_open()
-            if time.monotonic() >= deadline:
+            if deadline is not None and time.monotonic() >= deadline:
                 raise PortError(
                     f"{self.url} did not answer the status request within {timeout:g} s; "
                     "is it this kind of adapter?"
                 )
             # Somebody else who reads finds the answer, too.
-            if self._take_turn(min(deadline, time.monotonic() + _TURN)):
+            if self._take_turn(_sooner(deadline, _TURN)):
                 try:
-                    self._read_ahead(min(deadline, time.monotonic() + _TURN))
+                    self._read_ahead(_sooner(deadline, _TURN))
                 finally:
                     self._reading.release()
         return status
@@ -597,9 +611,13 @@ class Port(Uncopied):
         if out is not None:
             output_frames(out)
             return out
-        if max_frames < 1:
-            raise ValueError(f"max_frames is {max_frames}; it must be 1 or more")
-        return np.empty(max_frames, FRAME_DTYPE)
+        count = whole(max_frames, "max_frames", "4096", least=1)
+        try:
+            return np.empty(count, FRAME_DTYPE)
+        except (MemoryError, ValueError):  # ValueError: numpy counts no further
+            raise ValueError(
+                f"max_frames is {count}; it must be frames that the system has memory for"
+            ) from None
 
     def _unstash(self, room: FrameArray) -> int:
         """Move frames that were decoded earlier into `room`; return how many."""
@@ -668,6 +686,18 @@ class _Connect:
         if self._greeting.data:
             time.sleep(_SETTLE)
         return line
+
+
+def _deadline(timeout: float | None) -> float | None:
+    """Return when a time-out is over, by time.monotonic(); None for never."""
+    seconds = check_timeout(timeout)
+    return None if seconds is None else time.monotonic() + seconds
+
+
+def _sooner(deadline: float | None, seconds: float) -> float:
+    """Return the deadline, or when so many seconds have passed, whatever is sooner."""
+    soon = time.monotonic() + seconds
+    return soon if deadline is None else min(deadline, soon)
 
 
 def _empty(items: deque[_T]) -> list[_T]:

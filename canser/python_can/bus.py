@@ -15,6 +15,8 @@ from can.broadcastmanager import CyclicSendTaskABC, ThreadBasedCyclicSendTask
 from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 
 from canser._binding import find_protocol
+from canser._checks import timeout as check_timeout
+from canser._checks import whole
 from canser._guards import Uncopied
 from canser.codec import protocols, tick_ns
 from canser.errors import PortError, SendTimeoutError
@@ -178,6 +180,7 @@ class CanserBus(Uncopied, can.BusABC):
 
     def _read(self, max_frames: int, timeout: float | None) -> FrameArray:
         """Return frames that pass the filters, at least one before the time-out."""
+        timeout = check_timeout(timeout)
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
             try:
@@ -199,10 +202,9 @@ class CanserBus(Uncopied, can.BusABC):
         (None: for ever); then there may be none. A frame comes either here or as a message.
         CanOperationError when the device is gone or the bus is shut down.
         """
+        max_frames = whole(max_frames, "max_frames", "4096", least=1)
         if not self._queue:
             return self._read(max_frames, timeout)
-        if max_frames < 1:
-            raise ValueError(f"max_frames is {max_frames}; it must be 1 or more")
         taken: list[Row] = []
         with self._lock:
             while self._queue and len(taken) < max_frames:

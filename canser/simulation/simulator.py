@@ -3,6 +3,7 @@
 import collections
 import contextlib
 import itertools
+import math
 import os
 import select
 import threading
@@ -10,11 +11,13 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import BinaryIO, Final, Self
+from typing import Any, BinaryIO, Final, Self, cast
 
 import numpy as np
 
 from canser import adapters
+from canser._checks import flag, real, text, whole
+from canser._checks import timeout as check_timeout
 from canser._guards import ReadOnlyDict, Uncopied
 from canser._named import named
 from canser._threads import start_thread
@@ -147,35 +150,31 @@ class Simulator(Uncopied):
     ) -> None:
         self._decoder = Decoder(protocol, ts_unit=ts_unit)
         self.protocol = self._decoder.protocol
-        self.echo = echo
-        self.deaf = deaf
+        self.echo = flag(echo, "echo")
+        self.deaf = flag(deaf, "deaf")
         self._pace = _pace_asked(pace, baudrate)
-        self._baudrate = adapters.baudrate(self.protocol) if baudrate is None else baudrate
-        if self._baudrate < 1:
-            raise ValueError(f"baudrate is {baudrate}; it must be 1 or more")
-        if any(at < 0 or not seconds >= 0 for at, seconds in stalls):
-            raise ValueError(f"stalls are {stalls!r}; give pairs of bytes and seconds, 0 or more")
-        for name, share in (("noise", noise), ("loss", loss)):
-            if not 0 <= share <= 1:
-                raise ValueError(f"{name} is {share}; it is a share of the bytes, from 0 to 1")
-        if unplug_after is not None and unplug_after < 0:
-            raise ValueError(f"unplug_after is {unplug_after}; it is a number of bytes")
+        self._baudrate = adapters.baudrate(self.protocol)
+        if baudrate is not None:
+            self._baudrate = whole(baudrate, "baudrate", "115200", least=1)
+        _check_faults(noise, loss, stalls, unplug_after)
+        if copy is not None and not hasattr(copy, "write"):
+            raise TypeError(f"copy is {copy!r}; it must be a file open for writing bytes")
         self._ts_unit = ts_unit
         self._stalls = collections.deque(sorted(stalls))
         self._unplug_at = unplug_after
         self._copy = copy
-        self._link = Link(link)
+        self._link = Link(text(link, "link", "'/tmp/can'"))
         self._link_path = link
 
         self._out = Outgoing(
             self.protocol,
             traffic,
             ts_unit=ts_unit,
-            loop=loop,
+            loop=flag(loop, "loop"),
             timed=None if self._pace is None else self._pace == "traffic",
             noise=noise,
             loss=loss,
-            seed=seed,
+            seed=whole(seed, "seed", "1", least=0),
         )
         self._elapsed_ns = 0  # in which it could send
         self._stepped_ns = 0  # when the last step was
@@ -293,13 +292,13 @@ class Simulator(Uncopied):
 
         It goes on to answer then. Raises what the thread has failed at.
         """
-        self._ended.wait(timeout)
+        self._ended.wait(check_timeout(timeout))
         self._raise()
         return self._ended.is_set()
 
     def wait_unplugged(self, timeout: float | None = None) -> bool:
         """Wait until it has unplugged itself; return whether it has."""
-        self._unplugged.wait(timeout)
+        self._unplugged.wait(check_timeout(timeout))
         self._raise()
         return self._unplugged.is_set()
 
@@ -599,3 +598,27 @@ def _pace_asked(pace: str | None, baudrate: int | None) -> str | None:
     if pace is not None and pace not in PACES:
         raise ValueError(f"unknown pace {pace!r}; have: {', '.join(PACES)}")
     return "line" if pace is None and baudrate is not None else pace
+
+
+def _check_faults(
+    noise: float, loss: float, stalls: Sequence[tuple[int, float]], unplug_after: int | None
+) -> None:
+    """Raise TypeError or ValueError for faults that make no sense."""
+    for name, share in (("noise", noise), ("loss", loss)):
+        if not 0 <= real(share, name, "0.001") <= 1:
+            raise ValueError(f"{name} is {share}; it is a share of the bytes, from 0 to 1")
+    if not _are_stalls(stalls):
+        raise ValueError(f"stalls are {stalls!r}; give pairs of bytes and seconds, 0 or more")
+    if unplug_after is not None and whole(unplug_after, "unplug_after", "1000") < 0:
+        raise ValueError(f"unplug_after is {unplug_after}; it is a number of bytes")
+
+
+def _are_stalls(stalls: object) -> bool:
+    """Return whether these are pairs of a number of bytes and finite seconds, 0 or more."""
+    try:
+        return all(
+            whole(at, "at", "5000") >= 0 and 0 <= real(seconds, "seconds", "2.0") < math.inf
+            for at, seconds in cast(Any, stalls)
+        )
+    except (TypeError, ValueError):
+        return False

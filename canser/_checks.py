@@ -1,0 +1,67 @@
+"""Arguments that are checked: an error names the argument, its value and what it may be."""
+
+import math
+import numbers
+import operator
+import reprlib
+import threading
+from typing import Any
+
+import numpy as np
+
+__all__ = ["flag", "real", "text", "timeout", "whole"]
+
+
+def whole(value: Any, name: str, such_as: str, *, least: int | None = None) -> int:
+    """Return an integer: TypeError for anything else, ValueError if it is less than `least`.
+
+    True and False are none, and neither is 500.0: it would be cut, were it 500.5.
+    """
+    try:
+        if isinstance(value, bool):
+            raise TypeError
+        number = operator.index(value)
+    except TypeError:
+        raise _wrong_type(value, name, f"an integer, such as {such_as}") from None
+    if least is not None and number < least:
+        raise ValueError(f"{name} is {number}; it must be {least} or more")
+    return number
+
+
+def real(value: Any, name: str, such_as: str) -> float:
+    """Return a number, NaN and infinity too; TypeError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        raise _wrong_type(value, name, f"a number, such as {such_as}")
+    return float(value)
+
+
+def timeout(value: Any, name: str = "timeout") -> float | None:
+    """Return a time-out in seconds, None for one without an end; it is over if less than 0."""
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        raise _wrong_type(value, name, "a number of seconds, or None to wait for ever")
+    number = float(value)
+    if math.isnan(number):
+        raise ValueError(f"{name} is nan; it must be a number of seconds, or None")
+    # The system counts no further than 292 years.
+    return None if number >= threading.TIMEOUT_MAX else number
+
+
+def flag(value: Any, name: str) -> bool:
+    """Return True or False; TypeError for anything else: "no" would count as True."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise _wrong_type(value, name, "True or False")
+    return bool(value)
+
+
+def text(value: Any, name: str, such_as: str) -> str:
+    """Return a string; TypeError for anything else."""
+    if not isinstance(value, str):
+        raise _wrong_type(value, name, f"a string, such as {such_as}")
+    return value
+
+
+def _wrong_type(value: Any, name: str, wanted: str) -> TypeError:
+    shown = " ".join(reprlib.repr(value).split())
+    return TypeError(f"{name} is {shown}; it must be {wanted}")
