@@ -36,7 +36,8 @@ class FrameFile(Iterator[FrameArray]):
 
     `file_format`: one of FORMATS. Raw bytes need their `protocol`, else NoProtocolError; a
     recording among them knows it. Both keep their decoder in `.decoder`, for the stats and
-    the control packets, and a recording what it tells in `.recording` and `.remarks`.
+    the control packets, and a recording what it tells in `.recording`. `.remarks` has what is
+    to be known of a recording so far, and of other formats at their end.
     `protocol`, `as_is`: as for `canser.blocks`, and `raw_only` as for `Blocks`; `.doubt` tells
     why the bytes so far are not of the protocol they are read in, "" if they may be.
     `progress` is called with the bytes done and in all. A context manager.
@@ -56,6 +57,7 @@ class FrameFile(Iterator[FrameArray]):
         self.name = "standard input" if path == "-" else path
         self.decoder: Decoder | None = None
         self.recording: RecordingInfo | None = None
+        self._remarks: list[str] = []
         self._blocks: Iterator[FrameArray]
         with contextlib.ExitStack() as opening:
             file = _standard_input() if path == "-" else opening.enter_context(open(path, "rb"))  # noqa: PTH123
@@ -75,7 +77,9 @@ class FrameFile(Iterator[FrameArray]):
                 )
                 self.decoder, self.recording, self._blocks = raw.decoder, raw.recording, raw
             else:
-                self._blocks = BY_SUFFIX[f".{file_format}"].read(file, self.name)
+                self._blocks = BY_SUFFIX[f".{file_format}"].read(
+                    file, self.name, self._remarks.append
+                )
             self._stack = opening.pop_all()
 
     def __iter__(self) -> Self:
@@ -90,9 +94,9 @@ class FrameFile(Iterator[FrameArray]):
 
     @property
     def remarks(self) -> list[str]:
-        """What to know so far: which protocol was found, what is damaged, what is lost."""
+        """What to know so far: the protocol found, what is damaged or lost, or not in the frames."""
         if not isinstance(self._blocks, Blocks):
-            return []
+            return self._remarks
         found = [self._blocks.found] if self._blocks.found else []
         return [*found, *self._blocks.remarks]
 

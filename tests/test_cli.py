@@ -395,6 +395,33 @@ def test_a_file_on_the_standard_input_is_not_written(tmp_path: Path) -> None:
     assert path.read_bytes() == before
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["convert", "run.log", "run.npy"],
+        ["convert", "run.log", "run.bin", "-p", "serial"],
+        ["info", "run.log"],
+        ["dump", "run.log"],
+        ["dump", "run.log", "--filter", "7FF"],
+    ],
+    ids=" ".join,
+)
+def test_two_buses_that_become_one_are_told(tmp_path: Path, arguments: list[str]) -> None:
+    text = "(1.0) can0 123#11 R\n(2.0) can1 123#22 T\n(3.0) can0 123#33 R\n"
+    (tmp_path / "run.log").write_text(text)
+    done = run(tmp_path, *arguments)
+    assert done.returncode == GOOD
+    said = done.stderr.decode().splitlines()
+    assert said[-2:] == [
+        "run.log: frames of 2 channels become one: can0 2, can1 1",
+        "run.log: direction is not kept: received 2, sent 1",
+    ]
+    (tmp_path / "run.log").write_text(text.replace("can1", "can0").replace("T", "R"))
+    (tmp_path / "plain").mkdir()
+    (tmp_path / "plain" / "run.log").write_bytes((tmp_path / "run.log").read_bytes())
+    assert "run.log: " not in run(tmp_path / "plain", *arguments).stderr.decode()
+
+
 def test_strict_names_a_frame_that_cannot_be_encoded(tmp_path: Path) -> None:
     np.save(tmp_path / "x.npy", vehicle(1))
     done = run(tmp_path, "convert", "x.npy", "x.bin", "-p", "cantalope", "--strict")

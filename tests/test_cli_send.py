@@ -123,6 +123,15 @@ def test_play_a_log_at_its_times(tmp_path: Path, device: "Device") -> None:
     assert len(run.err) == 2
 
 
+def test_play_tells_what_the_frames_of_a_log_do_not_hold(tmp_path: Path, device: "Device") -> None:
+    (tmp_path / "run.log").write_text("(1.0) can0 123#11\n(1.0) can1 123#22\n")
+    wanted = canser.encode(frames_of(["123#11", "123#22"]), "seeed")
+    with running(tmp_path, *call("play", "run.log")) as run:
+        assert device.read(len(wanted)) == wanted
+        assert run.end() == GOOD
+    assert "run.log: frames of 2 channels become one: can0 1, can1 1" in run.err
+
+
 def test_times_go_out_from_zero_on(tmp_path: Path, device: "Device") -> None:
     frames = frames_of(["123#01", "124#02", "125#03"])
     frames["ts"] = np.array([1_700_000_000_000, 1_700_000_000_100, 1_700_000_000_300]) * 1_000_000

@@ -155,6 +155,19 @@ def test_frames_that_lack_a_time_are_told(tmp_path: Path) -> None:
     assert said[1:] == ["frames without a time, each sent with the one before: 1"]
 
 
+def test_what_the_frames_of_a_log_do_not_hold_is_told(tmp_path: Path) -> None:
+    log = "(1.000000) can0 123#11\n(1.000000) can1 123#22 T\n"
+    (tmp_path / "run.log").write_text(log)
+    with simulate(tmp_path, "-p", "serial", "--traffic", "run.log", "--pace", "max") as command:
+        read(command.url, 14 + 14)
+        code, said, _ = command.end()
+    assert code == GOOD
+    assert said[:2] == [
+        "run.log: frames of 2 channels become one: can0 1, can1 1",
+        "run.log: direction is not kept: received 1, sent 1",
+    ]
+
+
 def test_faults_by_the_seed(tmp_path: Path) -> None:
     hit = damage(canser.encode(vehicle(1), "seeed"), noise=0.01, loss=0.02, seed=(7, 1))
     faults = ("--noise", "0.01", "--loss", "0.02", "--stall", "100:0.2", "--seed", "7")

@@ -2,12 +2,15 @@
 
 import io
 import re
+import tracemalloc
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from canser.errors import FormatError
+from canser.errors import CanserWarning, FormatError
 from canser.formats import candump
 from reference import NO_TIME, Frame
 from samples import EPOCH, FRAMES, MICROSECOND, SECOND, array, frames_or_error, listed
@@ -40,7 +43,14 @@ def written(*frames: Frame) -> bytes:
 
 
 def read(text: bytes) -> list[Frame]:
-    return listed(candump.read(io.BytesIO(text), "x.log"))
+    """Return the frames; remarks are not looked at."""
+    return listed(candump.read(io.BytesIO(text), "x.log", lambda _: None))
+
+
+def remarks(text: bytes) -> list[str]:
+    told: list[str] = []
+    list(candump.read(io.BytesIO(text), "x.log", told.append))
+    return told
 
 
 def kept(frame: Frame) -> Frame:
@@ -96,12 +106,25 @@ def test_times_that_are_lost_are_counted(frames: list[Frame]) -> None:
         ("(1.0) can0 123#R", Frame(0x123, rtr=True, ts=SECOND)),
         ("(1.0) can0 123#r3", Frame(0x123, rtr=True, dlc=3, ts=SECOND)),
         ("(1.0) can0 123#0011223344556677_9", Frame(0x123, False, False, 8, ts=SECOND)),
+        ("(1.0)\tcan0\t123#r8_f", Frame(0x123, rtr=True, dlc=8, ts=SECOND)),
+        ("(1.0) 0 123#AB", Frame(0x123, dlc=1, data=b"\xab" + bytes(7), ts=SECOND)),
+        ("(1) vcan-long.name 123#R R", Frame(0x123, rtr=True, ts=SECOND)),
     ],
 )
 def test_what_other_programs_write_is_read(line: str, frame: Frame) -> None:
-    if frame.dlc == 8:
+    if frame.dlc == 8 and not frame.rtr:
         frame = frame._replace(data=bytes.fromhex("0011223344556677"))
     assert read(line.encode()) == [frame]
+
+
+def test_comments_are_passed_over() -> None:
+    assert len(read(b"# a log\n#\n(1.0) can0 123#\n  # its end")) == 1
+
+
+def test_nuls_behind_the_last_line_are_told() -> None:
+    text = b"(1.0) can0 123#\n" + bytes(64)
+    assert len(read(text)) == 1
+    assert remarks(text) == ["ends in 64 NUL bytes; was the power cut? Frames may be missing"]
 
 
 def test_windows_line_ends_and_empty_lines_are_read() -> None:
@@ -117,6 +140,31 @@ def test_windows_line_ends_and_empty_lines_are_read() -> None:
         ("(1.0) can0 12#AB", "is no frame"),
         ("(1.0) can0 123#R9", "is no frame"),
         ("(1.0) can0 123##1AABB", "'(1.0) can0 123##1AABB' is CAN FD"),
+        ("(1.0) can0 45123#81:00:12345678#11223344", "is CAN FD or CAN XL"),
+        ("(1_0.0) can0 123#11", "is no frame"),
+        ("(1.0_0) can0 123#11", "is no frame"),
+        ("(\u0661.0) can0 123#11", "is no frame"),
+        ("(1.0) can0 \u0661\u0662\u0663#11", "is no frame"),
+        ("(1.0) can0 123#\uff11\uff11", "is no frame"),
+        ("(1.0) can0 123#R\u0661", "is no frame"),
+        ("(1.0) can0 0x123#11", "is no frame"),
+        ("(+1.0) can0 123#11", "is no frame"),
+        ("( 1.0) can0 123#11", "is no frame"),
+        ("(1e9) can0 123#11", "is no frame"),
+        ("(nan) can0 123#11", "is no frame"),
+        ("() can0 123#11", "is no frame"),
+        ("(.5) can0 123#11", "is no frame"),
+        ("(1.0)\u2003can0 123#11", "is no frame"),
+        ("(1.0) ca\u2003n0 123#11", "is no frame"),
+        ("(1.0) ca\x1bn0 123#11", "is no frame"),
+        ("(1.0) can0 123#11 22", "is no frame"),
+        ("(1.0) can0 123#11.", "is no frame"),
+        ("(1.0) can0 123#.11", "is no frame"),
+        ("(1.0) can0 123#11..22", "is no frame"),
+        ("(1.0) can0 123#11 X", "is no frame"),
+        ("(1.0) can0 123#1122334455667788_8", "is no frame"),
+        ("(1.0) can0 123#11_E", "a raw dlc (_E) needs 8 bytes, but the dlc is 1"),
+        ("(1.0) can0 123#R4_E", "a raw dlc (_E) needs 8 bytes, but the dlc is 4"),
         ("(1.0) can0 800#", "the id 0x800 is over 0x7ff"),
         ("(1.0) can0 80000123#", "the id 0x80000123 is over 0x1fffffff"),
         ("(1.0) can0 123#001122334455667788", "the dlc 9 is not 0 to 8"),
@@ -203,6 +251,81 @@ def test_a_line_without_an_end_is_an_error_and_not_all_of_memory() -> None:
         list(candump.read(io.BytesIO(b"(0.0) can0 123#\n" + bytes(1 << 20)), "x.log"))
 
 
+TWO = (
+    b"(1.0) can0 123#11 R\n(1.0) can1 123#22 T\n(1.0) can0 123#33 R\n(1.0) can0 123#44\n"
+    b"(1.0) can0 123#0011223344556677_E\n(1.0) can1 123#R8_9 T\n"
+)
+TWO_TOLD = [
+    "frames of 2 channels become one: can0 4, can1 2",
+    "direction is not kept: received 4, sent 2",
+    "raw dlcs of 9 to 15 become 8: 2",
+]
+
+
+def test_what_frames_do_not_hold_is_told_with_its_counts() -> None:
+    assert remarks(TWO) == TWO_TOLD
+    assert remarks(TWO * 10_000)[0] == "frames of 2 channels become one: can0 40,000, can1 20,000"
+
+
+def test_in_python_it_is_a_warning_once_at_the_end() -> None:
+    blocks = candump.read(io.BytesIO(TWO * 10_000), "x.log")
+    first = next(blocks)  # a warning is an error here
+    with pytest.warns(CanserWarning) as caught:
+        rest = sum(map(len, blocks))
+    assert len(first) + rest == 60_000
+    assert [str(warning.message) for warning in caught][1:] == [
+        "x.log: direction is not kept: received 40,000, sent 20,000",
+        "x.log: raw dlcs of 9 to 15 become 8: 20,000",
+    ]
+    assert {warning.filename for warning in caught} == {__file__}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [b"", b"(1.0) can0 123#11\n" * 3, b"(1.0) can7 123#11 R\n(1.0) can7 123#11\n"],
+    ids=["nothing", "plain", "received"],
+)
+def test_nothing_is_told_of_one_channel_that_only_receives(text: bytes) -> None:
+    assert remarks(text) == []
+
+
+def test_channels_without_end_are_counted_together() -> None:
+    text = "".join(f"(1.0) x{number} 123# T\n" for number in range(1_000)).encode()
+    channels, direction = remarks(text)
+    assert channels.startswith("frames of more than 16 channels become one: x0 1, x1 1, x2 1, ")
+    assert channels.endswith(", x15 1, and more 984")
+    assert direction == "direction is not kept: sent 1,000"
+
+
+def test_channels_without_end_take_no_memory() -> None:
+    def lines() -> Iterator[bytes]:
+        for number in range(20_000):
+            yield b"(1.0) %s%d 123#\n" % (b"x" * 1_000, number)
+
+    class Endless(io.BytesIO):
+        left = lines()
+
+        def readline(self, *_: Any) -> bytes:
+            return next(self.left, b"")
+
+    told: list[str] = []
+    tracemalloc.start()
+    try:
+        for _ in candump.read(Endless(), "x.log", told.append):
+            pass
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # A block of rows takes some of it, 20 MB of names would be far above.
+    assert peak < 10e6
+    assert len(told[0]) < 1_000
+
+
+def test_a_name_of_a_channel_is_shown_as_a_terminal_may_show_it() -> None:
+    text = "(1.0) a\u202eb 123#\n(1.0) can0 123#\n".encode()
+    assert remarks(text) == [r"frames of 2 channels become one: 'a\u202eb' 1, can0 1"]
+
+
 def test_frames_of_texts() -> None:
     frames = candump.frames_of(
         ["123#DEADBEEF", "18FEF100#", "123#R8", "20000080#00", "7ff#01.02.ff"]
@@ -218,7 +341,35 @@ def test_frames_of_texts() -> None:
     assert len(candump.frames_of([])) == 0
 
 
-@pytest.mark.parametrize("text", ["", "123", "12#00", "123#0", "123#GG", "800#", "123##0", "1234#"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "123",
+        "12#00",
+        "123#0",
+        "123#GG",
+        "800#",
+        "123##0",
+        "1234#",
+        "0x123#11",
+        "1_2#11",
+        "12 #11",
+        " 123#11",
+        "123#11 ",
+        "123#1 1",
+        "123#11\n",
+        "123#1_1",
+        "\u0661\u0662\u0663#11",
+        "123#\uff11\uff11",
+        "123#R\u0661",
+        "+12#11",
+        "123#11.",
+        "123#1122334455667788_E",
+        "123#R8_9",
+        "123#11 T",
+    ],
+)
 def test_texts_that_are_no_frame(text: str) -> None:
     with pytest.raises(ValueError, match=f"^{re.escape(repr(text))}"):
         candump.frames_of(["123#00", text])

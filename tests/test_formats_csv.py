@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from canser.errors import FormatError
+from canser.errors import CanserWarning, FormatError
 from canser.formats import csv
 from reference import NO_TIME, Frame
 from samples import EPOCH, FRAMES, SECOND, array, frames_or_error, listed
@@ -42,7 +42,14 @@ def written(*frames: Frame) -> bytes:
 
 
 def read(text: bytes) -> list[Frame]:
-    return listed(csv.read(io.BytesIO(text), "x.csv"))
+    """Return the frames; remarks are not looked at."""
+    return listed(csv.read(io.BytesIO(text), "x.csv", lambda _: None))
+
+
+def remarks(text: bytes) -> list[str]:
+    told: list[str] = []
+    list(csv.read(io.BytesIO(text), "x.csv", told.append))
+    return told
 
 
 @pytest.mark.parametrize("row", EXACT)
@@ -80,6 +87,39 @@ def test_frames_read_back_exactly(frames: list[Frame]) -> None:
 def test_columns_may_be_in_any_order_among_others() -> None:
     text = b"bus,data,dlc,error,remote,extended,arbitration_id,timestamp\n7,qw==,1,0,0,1,0x5,2.5\n"
     assert read(text) == [Frame(5, ext=True, dlc=1, data=b"\xab" + bytes(7), ts=2_500_000_000)]
+
+
+def test_columns_that_are_not_read_are_named() -> None:
+    text = b"bus,Channel,,data,dlc,error,remote,extended,arbitration_id,timestamp\n"
+    assert remarks(text) == ["columns that are not read: bus, Channel, ''"]
+    many = b",".join(b"c%d" % number for number in range(1_000))
+    (told,) = remarks(HEADER.rstrip() + b"," + many)
+    assert told.startswith("columns that are not read: c0, c1, ")
+    assert told.endswith(", c15, and more")
+
+
+def test_channels_and_directions_are_counted() -> None:
+    text = b"channel,direction," + HEADER + b"can0,Rx,0,0x1,0,0,0,0,\ncan1,Tx,1,0x1,0,0,0,0,\n"
+    assert remarks(text) == [
+        "frames of 2 channels become one: can0 1, can1 1",
+        "direction is not kept: received 1, sent 1",
+    ]
+    assert remarks(text.replace(b"can1,Tx", b"can0,")) == []
+    with pytest.warns(CanserWarning, match=r"^x\.csv: frames of 2 channels become one: 1 1, 2 1$"):
+        list(csv.read(io.BytesIO(b"channel," + HEADER + b"1" + ROW + b"2" + ROW), "x.csv"))
+
+
+ROW = b",0,0x1,0,0,0,0,\n"
+
+
+def test_a_blank_behind_a_comma_is_no_part_of_a_field() -> None:
+    text = HEADER.replace(b",", b", ") + b"2.5, 0x5, 1, 0, 0, 1, qw=="
+    assert read(text) == [Frame(5, ext=True, dlc=1, data=b"\xab" + bytes(7), ts=2_500_000_000)]
+
+
+def test_a_column_that_is_there_twice_is_an_error() -> None:
+    with pytest.raises(FormatError, match=r"^x\.csv, line 1: the column dlc is there 2 times"):
+        read(b"dlc," + HEADER)
 
 
 @pytest.mark.parametrize(
@@ -121,6 +161,25 @@ def test_what_other_programs_write_is_read(text: bytes) -> None:
         ("2.5,0x5,1,0,0,one,qw==", "dlc is 'one'"),
         ("2.5,0x5,1,0,0,1,q?==", "data is 'q?=='"),
         ("2.5,0x5,1,0,0,1,qw", "data is 'qw'"),
+        ("2.5,0x5,1,0,0,1,qx==", "data is 'qx=='; it must be base64"),
+        ("2.5,0x5,1,0,0,1,qw==,", "8 fields where the header has 7"),
+        ("2.5,0x1_23,1,0,0,1,qw==", "arbitration_id is '0x1_23'"),
+        ("2.5,+5,1,0,0,1,qw==", "arbitration_id is '+5'"),
+        ("2.5,-0x5,1,0,0,1,qw==", "arbitration_id is '-0x5'"),
+        ("2.5,\u0661,1,0,0,1,qw==", "arbitration_id is '\u0661'"),
+        ("2.5,0x" + "f" * 5_000 + ",1,0,0,1,qw==", "arbitration_id is '0xfffff"),
+        ("2.5,0x5,1,0,0,0_1,qw==", "dlc is '0_1'; it must be a number"),
+        ("2.5,0x5,1,0,0,+1,qw==", "dlc is '+1'"),
+        ("2.5,0x5,1,0,0,\u0661,qw==", "dlc is '\u0661'"),
+        ("2.5,0x5,1,0,0,0x1,qw==", "dlc is '0x1'"),
+        ("2.5,0x5,\uff11,0,0,1,qw==", "extended is '\uff11'; it must be 0 or 1"),
+        ("2.5,0x5,1,0,0,1,\uff11w==", "data is '\uff11w=='"),
+        ("1_0.5,0x5,1,0,0,1,qw==", "timestamp is '1_0.5'"),
+        ("1e1_0,0x5,1,0,0,1,qw==", "timestamp is '1e1_0'"),
+        ("\u0661.5,0x5,1,0,0,1,qw==", "timestamp is '\u0661.5'"),
+        ("inf,0x5,1,0,0,1,qw==", "timestamp is 'inf'"),
+        ("1e300,0x5,1,0,0,1,qw==", "timestamp is '1e300'"),
+        ("2.5\u2003,0x5,1,0,0,1,qw==", "timestamp is '2.5"),
     ],
 )
 def test_a_bad_row_is_an_error_that_names_file_line_and_value(row: str, reason: str) -> None:

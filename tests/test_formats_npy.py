@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import canser
-from canser.errors import FormatError
+from canser.errors import CanserWarning, FormatError
 from canser.formats import npy
 from canser.frames import FRAME_DTYPE
 from canser.simulation.traffic import vehicle
@@ -44,7 +44,7 @@ def written(*blocks: canser.frames.FrameArray) -> bytes:
 
 def read(raw: bytes) -> list[Frame]:
     # A reader that never ends shows as a failure and not as a test that hangs.
-    blocks = list(islice(npy.read(io.BytesIO(raw), "x.npy"), 10))
+    blocks = list(islice(npy.read(io.BytesIO(raw), "x.npy", lambda _: None), 10))
     assert len(blocks) < 10, "the reader does not end"
     return listed(blocks)
 
@@ -168,6 +168,17 @@ def test_a_damaged_header_is_frames_or_a_format_error(changes: list[tuple[int, i
     for place, value in changes:
         raw[place] = value
     frames_or_error(read, bytes(raw))
+
+
+def test_bytes_behind_the_array_are_told() -> None:
+    """As of two files that were joined: np.load passes over the second one without a word."""
+    told: list[str] = []
+    whole = written(TRAFFIC)
+    frames = listed(npy.read(io.BytesIO(whole * 2), "x.npy", told.append))
+    assert frames == listed(TRAFFIC)
+    assert told == [f"bytes behind the array, which are not read: {len(whole):,}"]
+    with pytest.warns(CanserWarning, match=r"^x\.npy: bytes behind the array"):
+        list(npy.read(io.BytesIO(whole + b"1"), "x.npy"))
 
 
 def test_a_negative_count_of_frames_is_a_format_error() -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from canser.errors import FormatError
 from canser.formats import _text
+from canser.formats._remarks import Unkept
 from reference import NO_TIME
 from samples import SECOND
 
@@ -60,6 +61,7 @@ def test_a_column_of_times_is_each_time_by_itself(times: list[int]) -> None:
     ("text", "ts"),
     [
         ("7", 7 * SECOND),
+        ("0" * 5_000 + "7", 7 * SECOND),
         ("+7.", 7 * SECOND),
         (" 0.5 ", SECOND // 2),
         ("0.1234567899", 123_456_789),
@@ -74,13 +76,22 @@ def test_other_spellings_of_a_time_are_read(text: str, ts: int) -> None:
     assert _text.parse_seconds(text) == ts
 
 
-@pytest.mark.parametrize("text", ["9223372036.854775808", "-9223372036.854775808", "1e300", "inf"])
+@pytest.mark.parametrize(
+    "text", ["9223372036.854775808", "-9223372036.854775808", "1e300", "inf", "1" * 60]
+)
 def test_a_time_that_does_not_fit_is_an_error_that_names_it(text: str) -> None:
     with pytest.raises(ValueError, match=f"the time {text} does not fit 64 bits of nanoseconds"):
         _text.parse_seconds(text)
 
 
-@pytest.mark.parametrize("text", ["x", "1,5", "12:30", "--1", "1e"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("x", "1,5", "12:30", "--1", "1e", ".", ".5", "e5", "0x10", "infinity", "nan1"),
+        # What int() and float() take.
+        *("1_0.0", "1.0_0", "1e1_0", "\u0661.0", "1.\u0660", "\uff11", "1\u2003", "1\n"),
+    ],
+)
 def test_what_is_no_number_is_an_error(text: str) -> None:
     with pytest.raises(ValueError, match="is no time in seconds"):
         _text.parse_seconds(text)
@@ -102,9 +113,32 @@ def test_rows_come_in_blocks_that_together_are_all_rows() -> None:
 
 def test_lines_have_the_numbers_of_an_editor() -> None:
     file = io.BytesIO(b"\xef\xbb\xbffirst\r\n\n  \nfourth")
-    assert list(_text.lines(file, "x")) == [(1, "first"), (4, "fourth")]
+    assert list(_text.lines(file, "x", Unkept())) == [(1, "first"), (4, "fourth")]
+
+
+def test_blanks_of_other_scripts_are_no_blanks() -> None:
+    file = io.BytesIO("\u2003first\u2003\n\x1c\n".encode())
+    assert list(_text.lines(file, "x", Unkept())) == [(1, "\u2003first\u2003"), (2, "\x1c")]
+
+
+@pytest.mark.parametrize("count", [1, 64, 4096])
+def test_nuls_at_the_end_are_counted(count: int) -> None:
+    unkept = Unkept()
+    file = io.BytesIO(b"first\n" + bytes(count))
+    assert list(_text.lines(file, "x", unkept)) == [(1, "first")]
+    assert unkept.remarks() == [
+        f"ends in {count:,} NUL bytes; was the power cut? Frames may be missing"
+    ]
+
+
+@pytest.mark.parametrize("raw", [b"first\0\0", b"\0\0\nfirst\n", b"first\n\0\0\n"])
+def test_nuls_elsewhere_are_text(raw: bytes) -> None:
+    unkept = Unkept()
+    texts = [text for _, text in _text.lines(io.BytesIO(raw), "x", unkept)]
+    assert "\0\0" in "".join(texts)
+    assert unkept.remarks() == []
 
 
 def test_bytes_that_are_no_text_are_named_by_their_line() -> None:
     with pytest.raises(FormatError, match=r"^x\.log, line 2: .* is it raw bytes\?$"):
-        list(_text.lines(io.BytesIO(b"good\n\xaa\x55\xff\n"), "x.log"))
+        list(_text.lines(io.BytesIO(b"good\n\xaa\x55\xff\n"), "x.log", Unkept()))

@@ -183,7 +183,7 @@ def check_found(source: FrameFile, *, as_is: bool) -> None:
 
 
 def say_remarks(source: FrameFile) -> None:
-    """Print on standard error what is to be known of a recording."""
+    """Print on standard error what is to be known of a file."""
     for remark in source.remarks:
         say(f"{source.name}: {remark}")
 

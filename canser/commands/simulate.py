@@ -25,6 +25,7 @@ from canser.commands._common import (
     as_is_argument,
     protocol_name,
     say,
+    say_remarks,
     show,
 )
 from canser.commands._numbers import real, whole
@@ -263,6 +264,7 @@ class _File:
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._args = args
+        self._told = False
         if Path(args.traffic).is_file():
             for _ in self._open():
                 pass
@@ -284,6 +286,9 @@ class _File:
             args.traffic, None, protocol=args.protocol, ts_unit=args.ts_unit, as_is=args.as_is
         ) as file:
             yield from file
+        if not self._told:
+            self._told = True
+            say_remarks(file)
 
 
 def _carries_extended(protocol: str) -> bool:

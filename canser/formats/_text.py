@@ -14,12 +14,16 @@ import numpy as np
 import numpy.typing as npt
 
 from canser.errors import FormatError
+from canser.formats._remarks import Unkept
 from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, flaw
 
 Column = npt.NDArray[np.uint8]
 
 _HEX: Final = np.frombuffer(b"0123456789ABCDEF", np.uint8)
 _SECOND: Final = 1_000_000_000
+
+# Those of ASCII: strip() by itself takes the blanks of all scripts.
+BLANKS: Final = " \t\r\n\v\f"
 
 # No frame's line is nearly so long, in bytes; what is, is no text.
 _LINE_MAX = 1 << 16
@@ -85,36 +89,42 @@ def seconds(ts: npt.NDArray[np.int64], places: int) -> Column:
     return np.concatenate([sign, decimal(size // _SECOND), point, fraction], axis=1)
 
 
-_SECONDS = re.compile(r"\s*(?P<sign>[+-]?)(?P<whole>\d+)(?:\.(?P<places>\d*))?\s*")
+_SECONDS: Final = re.compile(
+    r"[ \t]*(?P<sign>[+-]?)(?P<whole>[0-9]+)(?:\.(?P<places>[0-9]*))?[ \t]*"
+)
+_ROUNDED: Final = re.compile(r"[ \t]*[+-]?(?:[0-9]+(?:\.[0-9]*)?[eE][+-]?[0-9]+|inf)[ \t]*")
+
+# 2**63 ns are 9,223,372,036 s.
+_WHOLE_DIGITS: Final = 10
 
 
 def parse_seconds(text: str) -> int:
     """Return the nanoseconds of a number of seconds, exactly; NO_TIME for nan or nothing.
 
-    Digits past the ninth place are cut; other spellings, such as 1e9, are read as
+    Digits past the ninth place are cut; numbers with an exponent, such as 1e9, are read as
     floating point. ValueError for what is no number or is out of range.
     """
     found = _SECONDS.fullmatch(text)
     if found:
-        places = (found["places"] or "")[:9].ljust(9, "0")
-        ts = int(found["whole"]) * _SECOND + int(places)
+        whole = found["whole"].lstrip("0")
+        if len(whole) > _WHOLE_DIGITS:
+            ts = 2**63
+        else:
+            places = (found["places"] or "")[:9].ljust(9, "0")
+            ts = int(whole or "0") * _SECOND + int(places)
         ts = -ts if found["sign"] == "-" else ts
-    elif text.strip().lower() in ("", "nan", "nat"):
+    elif text.strip(BLANKS).lower() in ("", "nan", "nat"):
         return NO_TIME
+    elif _ROUNDED.fullmatch(text):
+        try:
+            ts = round(float(text) * _SECOND)
+        except OverflowError:  # inf
+            ts = 2**63
     else:
-        ts = _round_seconds(text)
+        raise ValueError(f"{text.strip()[:60]!r} is no time in seconds")
     if not -(2**63) < ts < 2**63:
-        raise ValueError(f"the time {text.strip()} does not fit 64 bits of nanoseconds")
+        raise ValueError(f"the time {text.strip()[:60]} does not fit 64 bits of nanoseconds")
     return ts
-
-
-def _round_seconds(text: str) -> int:
-    try:
-        return round(float(text) * _SECOND)
-    except OverflowError:  # inf
-        return 2**63
-    except ValueError:
-        raise ValueError(f"{text.strip()!r} is no time in seconds") from None
 
 
 # The fields of a record but for the padding of data: id ext rtr dlc err data ts.
@@ -158,16 +168,22 @@ def in_blocks(rows: Iterator[Row]) -> Iterator[FrameArray]:
         yield rows_to_frames(block)
 
 
-def lines(file: BinaryIO, name: str) -> Iterator[tuple[int, str]]:
-    """Yield the number and the text of each line that is not empty; ASCII or UTF-8."""
+def lines(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[tuple[int, str]]:
+    """Yield the number and the text of each line that is not empty; ASCII or UTF-8.
+
+    NULs at the end of the file, which a power cut may leave, are counted in `unkept`.
+    """
     for number in count(1):
         raw = file.readline(_LINE_MAX)
         if not raw:
             return
         if len(raw) == _LINE_MAX:
             raise FormatError(f"{name}, line {number}: has no end; is it raw bytes?")
+        if not raw.strip(b"\0"):  # so no line end: the file ends here
+            unkept.nuls = len(raw)
+            return
         try:
-            text = raw.decode("utf-8-sig" if number == 1 else "utf-8").strip()
+            text = raw.decode("utf-8-sig" if number == 1 else "utf-8").strip(BLANKS)
         except UnicodeDecodeError:
             raise FormatError(f"{name}, line {number}: this is no text; is it raw bytes?") from None
         if text:

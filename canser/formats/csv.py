@@ -7,11 +7,13 @@ timestamp in seconds (nan where it is not known), arbitration_id in hexadecimal,
 flags 0 or 1, data in base64. Source: python-can, `can.io.csv`.
 
 Times are exact: six places, or nine where a frame has nanoseconds. Read by the
-names of the header, so columns may be in any order and others may be there.
+names of the header, so columns may be in any order and others may be there: the
+reader tells which it does not read.
 """
 
 import base64
 import csv
+import re
 from collections.abc import Callable, Iterator
 from typing import Any, BinaryIO, Final
 
@@ -19,9 +21,19 @@ import numpy as np
 
 from canser.errors import FormatError
 from canser.formats import _text
+from canser.formats._remarks import Tell, Unkept, tell_all
 from canser.frames import NO_TIME, FrameArray
 
 COLUMNS: Final = ("timestamp", "arbitration_id", "extended", "remote", "error", "dlc", "data")
+
+# Columns for which a frame has no field; how many frames there are of each value is counted.
+_COUNTED: Final = ("channel", "direction")
+
+# More digits than an id or a dlc has, and few enough for a message.
+_HEXADECIMAL: Final = re.compile("(?:0[xX])?[0-9A-Fa-f]{1,16}")
+_WHOLE: Final = re.compile("-?[0-9]{1,16}")
+
+_FLAGS: Final = {"0": False, "1": True, "false": False, "true": True}
 
 _BASE64: Final = np.frombuffer(
     b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/", np.uint8
@@ -88,53 +100,94 @@ def _base64(frames: FrameArray) -> _text.Column:
     return text
 
 
-def read(file: BinaryIO, name: str) -> Iterator[FrameArray]:
+def read(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[FrameArray]:
     """Yield the frames of a file, block by block.
 
-    `file`: open for reading bytes; `name`: what messages call it. FormatError names
-    the first line that is no frame, or the columns that are missing.
+    `file`: open for reading bytes; `name`: what messages call it. `tell` is called at the end
+    with each remark on what the file says and the frames do not hold; without it a remark is a
+    CanserWarning. FormatError names the first line that is no frame, or the columns that are
+    missing.
     """
-    return _text.in_blocks(_rows(file, name))
+    unkept = Unkept()
+    yield from _text.in_blocks(_rows(file, name, unkept))
+    tell_all(unkept.remarks(), name, tell)
 
 
-def _rows(file: BinaryIO, name: str) -> Iterator[_text.Row]:
-    numbered = _text.lines(file, name)
+def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[_text.Row]:
+    numbered = _text.lines(file, name, unkept)
     try:
-        _, header = next(numbered)
+        first, header = next(numbered)
     except StopIteration:
         return
-    names = [column.strip() for column in next(csv.reader([header]))]
+    try:
+        names = _names(header)
+    except (ValueError, csv.Error) as error:
+        raise FormatError(f"{name}, line {first}: {error}") from None
     missing = [column for column in COLUMNS if column not in names]
     if missing:
         raise FormatError(
             f"{name}: no column {', '.join(missing)}; the first line must name {','.join(COLUMNS)}"
         )
     places = [names.index(column) for column in COLUMNS]
+    channel, direction = (names.index(each) if each in names else None for each in _COUNTED)
+    unkept.columns = [each for each in names if each not in COLUMNS and each not in _COUNTED]
     for number, text in numbered:
         try:
-            fields = next(csv.reader([text], strict=True))
+            fields = next(csv.reader([text], strict=True, skipinitialspace=True))
+            if len(fields) != len(names):
+                raise ValueError(f"{len(fields)} fields where the header has {len(names)}")
             yield _text.check_row(_row([fields[place] for place in places]))
-        except IndexError:
-            raise FormatError(
-                f"{name}, line {number}: {len(fields)} fields where the header has {len(names)}"
-            ) from None
         except (ValueError, csv.Error) as error:
             raise FormatError(f"{name}, line {number}: {error}") from None
+        unkept.add(
+            None if channel is None else fields[channel],
+            None if direction is None else fields[direction],
+        )
+
+
+def _names(header: str) -> list[str]:
+    """Return the names of the columns."""
+    written = next(csv.reader([header], strict=True, skipinitialspace=True))
+    names = [each.strip(_text.BLANKS) for each in written]
+    for each in (*COLUMNS, *_COUNTED):
+        if names.count(each) > 1:
+            raise ValueError(f"the column {each} is there {names.count(each)} times")
+    return names
+
+
+def _hexadecimal(text: str) -> int:
+    if not _HEXADECIMAL.fullmatch(text):
+        raise ValueError
+    return int(text, 16)
+
+
+def _whole(text: str) -> int:
+    if not _WHOLE.fullmatch(text):
+        raise ValueError
+    return int(text)
 
 
 def _flag(text: str) -> bool:
-    return {"0": False, "1": True, "false": False, "true": True}[text.strip().lower()]
+    return _FLAGS[text.lower()]
+
+
+def _bytes(text: str) -> bytes:
+    data = base64.b64decode(text, validate=True)
+    # A last character with bits that are no part of a byte decodes to the same as another one.
+    if base64.b64encode(data).decode() != text:
+        raise ValueError
+    return data
 
 
 # How each column is read, and what it must be.
 _COLUMNS: Final[tuple[tuple[Callable[[str], Any], str], ...]] = (
     (_text.parse_seconds, "a time in seconds"),
-    (lambda text: int(text, 16), "a hexadecimal number"),
+    (_hexadecimal, "a hexadecimal number"),
     (_flag, "0 or 1"),
     (_flag, "0 or 1"),
     (_flag, "0 or 1"),
-    (int, "a number"),
-    (lambda text: base64.b64decode(text, validate=True), "base64"),
+    (_whole, "a number"),
+    (_bytes, "base64"),
 )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from canser.errors import FormatError
+from canser.formats._remarks import Tell, tell_all
 from canser.frames import FRAME_DTYPE, FrameArray, flaw
 
 # Frames that are handed on at a time.
@@ -62,11 +63,12 @@ class Writer:
         return []
 
 
-def read(file: BinaryIO, name: str) -> Iterator[FrameArray]:
+def read(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[FrameArray]:
     """Yield the frames of a file, block by block.
 
-    `file`: open for reading bytes; `name`: what messages call it. FormatError for
-    what is no array of FRAME_DTYPE, or holds fewer frames than its header says.
+    `file`: open for reading bytes; `name`: what messages call it. `tell` is called at the end
+    with a remark where something lies behind the array; without it that is a CanserWarning.
+    FormatError for what is no array of FRAME_DTYPE, or holds fewer frames than its header says.
     """
     try:
         version = npy.read_magic(file)
@@ -91,6 +93,11 @@ def read(file: BinaryIO, name: str) -> Iterator[FrameArray]:
         _check(frames, shape[0] - left, name)
         yield frames
         left -= len(frames)
+    behind = 0
+    while more := len(file.read(_BLOCK)):
+        behind += more
+    if behind:
+        tell_all([f"bytes behind the array, which are not read: {behind:,}"], name, tell)
 
 
 def _check(frames: FrameArray, first: int, name: str) -> None:
