@@ -14,6 +14,12 @@ needs_captures = pytest.mark.skipif(
     not CAPTURES.is_dir(), reason="the folder of real captures, ../shared/captures, is not here"
 )
 
+LOG_FILES = Path(__file__).parents[2] / "shared" / "logs"
+
+needs_logs = pytest.mark.skipif(
+    not LOG_FILES.is_dir(), reason="the folder of logs by many tools, ../shared/logs, is not here"
+)
+
 # The logs, read here by plain Python and not by canser: time in microseconds, id,
 # extended, data.
 Row = tuple[int, int, bool, bytes]
