@@ -112,6 +112,20 @@ def test_channels_and_directions_are_counted() -> None:
 ROW = b",0,0x1,0,0,0,0,\n"
 
 
+def test_the_header_of_python_can_2_is_read() -> None:
+    """As its versions 2.0 and 2.1 wrote it: see can/io/csv.py there."""
+    text = (
+        b"timestamp, arbitration id, extended, remote, error, dlc, data\n"
+        b"1483389946.197,0xdadada,1,0,0,6,WzQyLCA5\n"
+        b"0.0,0x7ff,0,1,0,8,\n"
+    )
+    assert remarks(text) == []
+    assert read(text) == [
+        Frame(0xDADADA, ext=True, dlc=6, data=b"[42, 9\0\0", ts=1_483_389_946_197_000_000),
+        Frame(0x7FF, rtr=True, dlc=8, ts=0),
+    ]
+
+
 def test_a_blank_behind_a_comma_is_no_part_of_a_field() -> None:
     text = HEADER.replace(b",", b", ") + b"2.5, 0x5, 1, 0, 0, 1, qw=="
     assert read(text) == [Frame(5, ext=True, dlc=1, data=b"\xab" + bytes(7), ts=2_500_000_000)]

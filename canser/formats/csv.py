@@ -8,7 +8,8 @@ flags 0 or 1, data in base64. Source: python-can, `can.io.csv`.
 
 Times are exact: six places, or nine where a frame has nanoseconds. Read by the
 names of the header, so columns may be in any order and others may be there: the
-reader tells which it does not read.
+reader tells which it does not read. python-can 2.0 and 2.1 wrote the header as
+`timestamp, arbitration id, extended, remote, error, dlc, data`.
 """
 
 import base64
@@ -148,7 +149,8 @@ def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[_text.Row]:
 def _names(header: str) -> list[str]:
     """Return the names of the columns."""
     written = next(csv.reader([header], strict=True, skipinitialspace=True))
-    names = [each.strip(_text.BLANKS) for each in written]
+    # python-can 2.0 and 2.1 wrote "arbitration id", and a blank behind each comma.
+    names = [each.strip(_text.BLANKS).replace(" ", "_") for each in written]
     for each in (*COLUMNS, *_COUNTED):
         if names.count(each) > 1:
             raise ValueError(f"the column {each} is there {names.count(each)} times")
