@@ -94,7 +94,7 @@ class FrameFile(Iterator[FrameArray]):
 
     @property
     def remarks(self) -> list[str]:
-        """What to know so far: the protocol found, what is damaged or lost, or not in the frames."""
+        """What to know so far: the protocol found, what is damaged or lost, or is no frame."""
         if not isinstance(self._blocks, Blocks):
             return self._remarks
         found = [self._blocks.found] if self._blocks.found else []
