@@ -4,8 +4,8 @@ With --json each line on standard output is an object with a `type` and a `time`
 
     status   once a second, and `end`, the last one, which has besides
                reason: of the end: "signal", "duration" or "error"
-               error: why the exit code is 1, or null; what standard output did not take of
-               these lines is not known here
+               error: why the exit code is 1, or null; that objects could not be written is
+               told on standard error only
              elapsed: seconds since the port was opened
              frames, bytes: so far; bytes == framed + control + skipped + pending
              frames_per_s, bytes_per_s, bus_load: of the last second; the load is 0 to 1 without
