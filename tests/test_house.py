@@ -36,7 +36,6 @@ FLOORS = [
         "canser.recordings.pcapng",
         "canser.restarts",
         "canser.simulation",
-        "canser.simulation._ahead",
         "canser.live.ring",
     ],
     [
@@ -60,6 +59,7 @@ FLOORS = [
         "canser.live.link",
         "canser.parallel",
         "canser.recordings._old",
+        "canser.simulation._ahead",
         "canser.sinks",
     ],
     [

@@ -5,6 +5,9 @@ import threading
 from collections.abc import Generator
 from typing import Generic, TypeVar
 
+from canser._threads import start_thread
+from canser.errors import PortError
+
 __all__ = ["Ahead"]
 
 _Part = TypeVar("_Part")
@@ -36,10 +39,11 @@ class Ahead(Generic[_Part]):
         if self.ended:
             return None
         if self._thread is None:
-            self._thread = threading.Thread(
+            thread = threading.Thread(
                 target=self._run, name="canser simulator traffic", daemon=True
             )
-            self._thread.start()
+            start_thread(thread, "the simulator", PortError)
+            self._thread = thread
         try:
             part = self._queue.get(block=wait)
         except queue.Empty:
