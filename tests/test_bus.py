@@ -21,6 +21,7 @@ pytest.importorskip("termios", reason="pseudo terminals are POSIX's")
 import canser  # noqa: E402
 from canser.frames import FrameArray  # noqa: E402
 from canser.python_can.bus import CanserBus  # noqa: E402
+from canser.simulation.traffic import vehicle  # noqa: E402
 from device import PATIENCE, Device  # noqa: E402
 from plugins import needs_installation  # noqa: E402
 from reference import Frame  # noqa: E402
@@ -641,6 +642,30 @@ def test_shutdown_ends_who_waits(fed: tuple[Device, CanserBus]) -> None:
     bus.shutdown()
     thread.join(PATIENCE)
     assert [type(error) for error in errors] == [can.CanOperationError]
+
+
+@pytest.mark.parametrize("read", [False, True])
+def test_shutdown_sends_the_rest_of_a_message_or_tells_that_it_is_lost(
+    caplog: pytest.LogCaptureFixture, read: bool
+) -> None:
+    frames = vehicle(20)
+    with Device() as line:
+        bus = CanserBus(line.url, protocol="seeed")
+        with pytest.raises(can.CanTimeoutError) as caught:
+            bus.send_batch(frames, timeout=0.05)
+        cause = caught.value.__cause__
+        assert isinstance(cause, canser.SendError)
+        taken = canser.encode(frames[: cause.sent], "seeed")
+        rest = bus.port.bytes_unsent
+        assert rest > 0  # the last of them is cut
+        if read:
+            heard = line.read(len(taken) - rest)
+            bus.shutdown()
+            assert heard + line.read(rest) == taken
+            assert "not sent" not in caplog.text
+        else:
+            bus.shutdown()
+            assert f"{line.url}: {rest} bytes are not sent, and are lost" in caplog.text
 
 
 def test_after_shutdown(fed: tuple[Device, CanserBus]) -> None:

@@ -34,6 +34,9 @@ _MEANINGLESS: Final = {"fd", "single_handle", "timeout"}
 # Frames taken from the port at a time.
 _BATCH: Final = 4096
 
+# Seconds in which a line must have sent what it took, when the bus is shut down.
+_DRAIN_S: Final = 1.0
+
 # Seconds from which on a time of a message is one of day, since 1970, and before which it is.
 _DAYS_FROM: Final = 1_000_000_000
 _DAYS_TO: Final = 1 << 32
@@ -366,8 +369,18 @@ class CanserBus(Uncopied, can.BusABC):
         return task
 
     def shutdown(self) -> None:
-        """Stop periodic sending and close the port; a `recv` that waits ends with an error."""
+        """Stop periodic sending and close the port; a `recv` that waits ends with an error.
+
+        What the line has taken is waited for, a second at most; what is left is told in the log.
+        """
         super().shutdown()
+        try:
+            if not self.port.drain(timeout=_DRAIN_S):
+                _LOG.warning(
+                    "%s: %d bytes are not sent, and are lost", self.port.url, self.port.bytes_unsent
+                )
+        except PortError:  # closed already, or gone: whoever sent has been told
+            pass
         self.port.close()
 
     @staticmethod
