@@ -309,6 +309,17 @@ def test_remarks_are_not_repeated_each_round(tmp_path: Path, device: "Device") -
     assert len(remarks) == len(set(remarks)) == 1
 
 
+def test_a_file_that_is_gone_in_a_later_round_ends_it(tmp_path: Path, device: "Device") -> None:
+    (tmp_path / "run.log").write_text("(0.0) can0 123#01\n(0.5) can0 124#02\n")
+    raw = canser.encode(frames_of(["123#01", "124#02"]), "seeed")
+    with running(tmp_path, *call("play", "run.log", "--loop")) as run:
+        assert device.read(len(raw)) == raw
+        (tmp_path / "run.log").unlink()
+        assert run.end() == BAD_CALL
+    assert "frames sent to dev" in run.err[0]
+    assert run.err[-1] == "canser: run.log: No such file or directory"
+
+
 # Lines that do not send what they took
 
 

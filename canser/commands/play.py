@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
 from canser._refusals import Refusals
 from canser._signals import Stop, stop_on_signals
@@ -73,6 +74,10 @@ def add(commands: Commands) -> None:
     )
 
 
+# What reading IN may raise.
+_ERRORS: Final = (CallError, CanserError, DataError, ValueError, OSError)
+
+
 def run(args: argparse.Namespace) -> int:
     file = Path(args.source).is_file()  # else a pipe, which can be read once
     if args.loop and not file:
@@ -137,7 +142,12 @@ class _Source:
         self._name = first.name
         yield self._frames(first)
         while self._args.loop and not (self._stop or self._error):
-            with _open(self._args) as again:
+            try:
+                again = _open(self._args)
+            except _ERRORS as error:
+                self._error = error
+                return
+            with again:
                 yield self._frames(again)
 
     def tell_left_out(self) -> None:
@@ -160,7 +170,7 @@ class _Source:
                 if self._args.strict and self._played.left_out:
                     raise self._refused(file.name, self._played)
                 yield kept
-        except (CanserError, DataError, ValueError, OSError) as error:
+        except _ERRORS as error:
             self._error = error
         self._tell_remarks(file)
 
