@@ -19,6 +19,7 @@ import pytest
 import canser
 from canser.cli import main
 from canser.commands.simulate import _traffic
+from canser.formats.candump import frames_of
 from canser.frames import FrameArray
 from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import damage, vehicle
@@ -216,6 +217,34 @@ def test_a_pipe_that_gives_no_more_does_not_keep_it(tmp_path: Path) -> None:
     assert process.returncode == GOOD, said
     assert said[0].endswith("bytes sent")
     assert all(line.startswith("not read by the host") for line in said[1:])
+
+
+LOG = "(0.0) can0 123#01\n(0.1) can0 20000080#00\n(0.2) can0 124#02\n"
+
+
+@pytest.mark.parametrize("pipe", [False, True])
+def test_what_the_protocol_cannot_carry_is_left_out_and_counted(tmp_path: Path, pipe: bool) -> None:
+    path = tmp_path / "run.log"
+    if pipe:
+        os.mkfifo(path)
+        threading.Thread(target=path.write_text, args=(LOG,), daemon=True).start()
+    else:
+        path.write_text(LOG)
+    wanted = canser.encode(frames_of(["123#01", "124#02"]), "seeed")
+    with simulate(tmp_path, "-p", "seeed", "--traffic", "run.log") as command:
+        assert read(command.url, len(wanted)) == wanted
+        code, err, _ = command.end()
+    assert code == GOOD
+    told = "run.log: 1 frame left out: error frames 1; seeed cannot carry them"
+    assert err.count(told) == 1
+    assert err.index(told) == 0
+
+
+def test_traffic_of_which_nothing_can_be_carried(tmp_path: Path) -> None:
+    (tmp_path / "run.log").write_text("(0.0) can0 20000080#00\n" * 3)
+    code, line = fails(tmp_path, "-p", "seeed", "--traffic", "run.log")
+    assert code == BAD_DATA
+    assert "run.log: seeed can carry none of its frames: error frames" in line
 
 
 def test_traffic_is_made_before_any_of_it_is_due(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,7 @@ from typing import BinaryIO
 import numpy as np
 
 from canser._output import ReaderGoneError, check_apart, whole_file
+from canser._refusals import Refusals
 from canser._signals import Stop, stop_on_signals
 from canser.codec import TS_UNITS, encode, protocols
 from canser.commands._common import (
@@ -192,6 +193,8 @@ def run(args: argparse.Namespace) -> int:
     # Behind the files: a reader that has gone takes none of them away.
     if args.report == "-":
         show([text])
+    if isinstance(traffic, _File):
+        traffic.tell_left_out()
     for line in _summary(report):
         say(line)
     if failure:
@@ -257,21 +260,36 @@ def _made(seconds: float, *, extended: bool) -> Iterator[FrameArray]:
 
 
 class _File:
-    """The frames of a file, as often as they are asked for.
+    """The frames of a file that the protocol can carry, as often as they are asked for.
 
     A file is read to its end first, and so judged as a whole; of a pipe the first frames are.
     """
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._args = args
+        self._refusals = Refusals(args.protocol)
+        self._told_remarks = False
         self._told = False
         if Path(args.traffic).is_file():
             for _ in self._open():
                 pass
+            if self._refusals.left_out < self._refusals.frames:
+                self.tell_left_out()
         self._opened: Iterator[FrameArray] | None = self._open()
         self._first = next(self._opened, None)
+        if self._first is None and self._refusals.left_out:
+            raise DataError(
+                f"{args.traffic}: {args.protocol} can carry none of its frames: "
+                f"{self._refusals.reasons}"
+            )
         if self._first is None:
             raise DataError(f"there is no frame in {args.traffic}")
+
+    def tell_left_out(self) -> None:
+        """Tell, once, which frames are left out."""
+        if self._refusals.left_out and not self._told:
+            self._told = True
+            say(f"{self._args.traffic}: {self._refusals}; {self._args.protocol} cannot carry them")
 
     def __iter__(self) -> Iterator[FrameArray]:
         opened, first = self._opened or self._open(), self._first
@@ -285,9 +303,9 @@ class _File:
         with TrafficFile(
             args.traffic, None, protocol=args.protocol, ts_unit=args.ts_unit, as_is=args.as_is
         ) as file:
-            yield from file
-        if not self._told:
-            self._told = True
+            yield from filter(len, map(self._refusals.keep, file))
+        if not self._told_remarks:
+            self._told_remarks = True
             say_remarks(file)
 
 
