@@ -106,13 +106,13 @@ def parse_seconds(text: str) -> int:
     """
     found = _SECONDS.fullmatch(text)
     if found:
-        whole = found["whole"].lstrip("0")
-        if len(whole) > _WHOLE_DIGITS:
+        sign, whole, places = found.groups(default="")
+        if len(whole) > _WHOLE_DIGITS and len(whole.lstrip("0")) > _WHOLE_DIGITS:
             ts = 2**63
         else:
-            places = (found["places"] or "")[:9].ljust(9, "0")
-            ts = int(whole or "0") * _SECOND + int(places)
-        ts = -ts if found["sign"] == "-" else ts
+            # Both in one number: the last nine digits are the nanoseconds.
+            ts = int(whole[-_WHOLE_DIGITS:] + places[:9].ljust(9, "0"))
+        ts = -ts if sign == "-" else ts
     elif text.strip(BLANKS).lower() in ("", "nan", "nat"):
         return NO_TIME
     elif _ROUNDED.fullmatch(text):
@@ -179,7 +179,7 @@ def lines(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[tuple[int, str]
             return
         if len(raw) == _LINE_MAX:
             raise FormatError(f"{name}, line {number}: has no end; is it raw bytes?")
-        if not raw.strip(b"\0"):  # so no line end: the file ends here
+        if not raw[0] and not raw.strip(b"\0"):  # so no line end: the file ends here
             unkept.nuls = len(raw)
             return
         try:
