@@ -194,7 +194,7 @@ def test_seconds_beyond_a_round_go_on(tmp_path: Path) -> None:
 
 
 def test_a_pipe_that_gives_no_more_does_not_keep_it(tmp_path: Path) -> None:
-    frames = vehicle(1)
+    frames = vehicle(3)  # more than the 64 KiB by which a pipe is judged
     clean = canser.encode(frames, "serial")
     with subprocess.Popen(
         arguments("-p", "serial", "--traffic", "-", "--pace", "max", "--link", "device"),

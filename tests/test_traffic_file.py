@@ -3,6 +3,8 @@
 import contextlib
 import gzip
 import os
+import select
+import signal
 import sys
 import threading
 from collections.abc import Iterator
@@ -21,7 +23,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminal
 
 if sys.platform != "win32":
     from beside import fails, running
-    from device import Device
+    from device import Device, until
 
 GOOD, BAD_DATA, BAD_CALL = 0, 1, 2
 
@@ -157,4 +159,17 @@ def test_a_pipe_of_another_format_sends_nothing(
     with (tmp_path / "run.asc").open("rb") as file, running(tmp_path, *call, stdin=file) as run:
         assert run.end() == BAD_DATA
     assert "Vector ASC" in run.err[-1]
+    assert not device.hears()
+
+
+def test_a_signal_ends_the_wait_for_a_pipe(tmp_path: Path, device: "Device") -> None:
+    reader, writer = os.pipe()
+    call = ("play", "-", "-c", "dev", "-p", "seeed")
+    with open(reader, "rb") as pipe, running(tmp_path, *call, stdin=pipe) as run:  # noqa: PTH123
+        os.write(writer, SEEED[:100])
+        # The command has started when it has taken the bytes.
+        until(lambda: not select.select([reader], [], [], 0)[0])
+        assert run.end(signal.SIGINT) == 130
+    os.close(writer)
+    assert run.err == ["canser: interrupted"]
     assert not device.hears()

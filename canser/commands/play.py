@@ -46,7 +46,8 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "source",
         metavar="IN",
-        help="a file of frames, a recording, raw bytes of the protocol; or -",
+        help="a file of frames, a recording, raw bytes of the protocol; or -. It is judged before "
+        "anything is sent: all of a file, of a pipe of raw bytes the first 64 KiB and each block",
     )
     parser.add_argument(
         "--from",
@@ -83,11 +84,13 @@ def run(args: argparse.Namespace) -> int:
     if args.loop and not file:
         raise CallError(f"{args.source} can be read only once; --loop needs a file")
     gap_ns = None if args.gap is None else int(args.gap * 1e6)
+    # Judging a pipe may wait for its bytes. A signal ends that at once: nothing is sent yet.
+    pipe = None if file else _open(args)
     with stop_on_signals() as stop:
         source = _Source(args, stop)
         if file:
             source.check()
-        first = _open(args)
+        first = pipe or _open(args)
         with first, open_port(args) as port:
             sender = Sender(port, wanted=lambda: not stop)
             try:
