@@ -426,7 +426,7 @@ def read(
     as for `decode` and `blocks`. What a recording has lost, or where it is damaged, is a
     CanserWarning. For files larger than memory, and for the counters, use `blocks`.
     """
-    check_threads(threads)
+    threads = check_threads(threads)
     check_protocol(protocol, ts_unit)
     output_offsets(offsets, 0)
     with Input(path) as source:

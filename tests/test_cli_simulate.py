@@ -364,7 +364,8 @@ def test_traffic_without_an_end_waits_for_a_host(
 def test_what_the_host_sends_is_told(tmp_path: Path) -> None:
     frame, ping = canser.encode(vehicle(1, extended=False)[:1], "cantalope"), b"\xff\xff\0"
     (tmp_path / "few.bin").write_bytes(frame)
-    options = ("--traffic", "few.bin", "--loop", "--echo", "--baudrate", "100000")
+    # One frame is too little to tell its protocol by.
+    options = ("--traffic", "few.bin", "--as-is", "--loop", "--echo", "--baudrate", "100000")
     with simulate(tmp_path, "-p", "cantalope", *options) as command:
         fd = os.open(command.url, os.O_RDWR | os.O_NOCTTY)
         try:

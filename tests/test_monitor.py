@@ -620,11 +620,11 @@ def test_a_filter_of_the_call_is_exact() -> None:
 
 
 def test_help_fits_80_columns(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit):
         cli.main(["monitor", "--help"])
-    lines = capsys.readouterr().out.splitlines()
+    lines = capfd.readouterr().out.splitlines()
     assert lines[lines.index("examples:") + 1].startswith("  canser monitor")
     assert max(map(len, lines)) <= 80

@@ -6,10 +6,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-if sys.platform == "win32":
-    import ctypes
-    import msvcrt
-else:
+if sys.platform != "win32":
     import fcntl
 
 __all__ = ["is_locked", "lock"]
@@ -50,6 +47,9 @@ def is_locked(path: Path) -> bool:
 if sys.platform == "win32":
 
     def _lock(fd: int) -> bool:
+        import ctypes  # noqa: PLC0415 - these are there on Windows only
+        import msvcrt  # noqa: PLC0415
+
         kernel = ctypes.WinDLL("kernel32", use_last_error=True)
         handle = ctypes.c_void_p(msvcrt.get_osfhandle(fd))
         done = kernel.LockFile(handle, 0, _HIGH_WORD, 1, 0)
