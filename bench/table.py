@@ -230,6 +230,8 @@ def noise(stream: Stream, rounds: int) -> Iterator[Row]:
     yield Row("hostile, clean frames a unit, at most", protocol, max(units.values()), HOSTILE, note)
     worst = max(units, key=lambda name: units[name])
     sizes = [1 << bits for bits in range(20, 27, 2) if 1 << bits <= len(raw)]
+    if len(sizes) < 2:
+        return  # an exponent needs two sizes
     pieces = [streams[worst][:size] for size in sizes]
     seconds = growth.fastest(protocol, pieces, room, max(rounds // 3, 1))
     grown = growth.Growth(protocol, "hostile", worst, sizes, seconds)
