@@ -502,6 +502,6 @@ def _read_recording(source: Input, recorded: RecordedFrames, offsets: Offsets | 
             f"offsets has room for {len(offsets)} frames, but the data holds {count}; "
             f"make room for at least {count}"
         )
-    # Given back, not copied: nobody else has seen the array.
+    # Given back, not copied: no other object refers to it.
     whole.resize(count, refcheck=False)
     return whole

@@ -212,7 +212,7 @@ def concat(arrays: Iterable[FrameArray]) -> FrameArray:
 
 def refuse_mask(array: object, name: str) -> None:
     """Raise TypeError for a masked array: what it masks would be taken like all else."""
-    # Where nobody has imported numpy.ma there are none.
+    # Where numpy.ma is not imported there are none.
     ma = sys.modules.get("numpy.ma")
     if ma is not None and isinstance(array, ma.MaskedArray):
         raise TypeError(

@@ -128,7 +128,7 @@ class GrowingArray(_Array):
 
     def result(self) -> FrameArray:
         """Return the array, of just the size; it owns its memory."""
-        # What is too much is given back where it is: nobody else has seen the array.
+        # What is too much is given back where it is: no other object refers to it.
         self._out.resize(self.count, refcheck=False)
         return self._out
 

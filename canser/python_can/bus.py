@@ -379,7 +379,7 @@ class CanserBus(Uncopied, can.BusABC):
                 _LOG.warning(
                     "%s: %d bytes are not sent, and are lost", self.port.url, self.port.bytes_unsent
                 )
-        except PortError:  # closed already, or gone: whoever sent has been told
+        except PortError:  # closed already, or gone: the sender has been told
             pass
         self.port.close()
 
