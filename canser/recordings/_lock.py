@@ -36,7 +36,7 @@ def is_locked(path: Path) -> bool:
     try:
         # Without O_NONBLOCK the opening of a named pipe waits for its writer.
         fd = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return False
     try:
         return not lock(fd)
