@@ -251,7 +251,7 @@ def judge(protocol: str, stream: bytes, cuts: list[int], rooms: list[int], unit:
     decoder = canser.Decoder(protocol, ts_unit=unit)
     streamed = decoder.feed(stream).tobytes() + decoder.flush().tobytes()
     assert streamed == reference.pack(expected.frames)
-    whole = canser.decode(stream, protocol, ts_unit=unit)
+    whole = canser.decode(stream, protocol, ts_unit=unit, as_is=True)
     assert whole.dtype == canser.FRAME_DTYPE
     assert whole.tobytes() == streamed
 
@@ -434,7 +434,10 @@ def test_decode_gives_back_what_encode_sent(protocol: str, data: st.DataObject) 
             frames[index] = frame._replace(ts=ticks * TICK_NS[unit])
             ticks += data.draw(st.integers(-most, most - 1), "step")
     stream = canser.encode(array(frames), protocol, ts_unit=unit)
-    assert reference.unpack(canser.decode(stream, protocol, ts_unit=unit).tobytes()) == frames
+    assert (
+        reference.unpack(canser.decode(stream, protocol, ts_unit=unit, as_is=True).tobytes())
+        == frames
+    )
     result = reference.decode(stream, protocol, TICK_NS[unit])
     assert result.frames == frames
     assert result.stats.bytes_framed == len(stream)
@@ -481,13 +484,13 @@ def test_decode_with_arrays_and_threads(protocol: str, data: st.DataObject) -> N
     count = len(expected.frames)
     assume(count > 0)
     out, offsets = np.zeros(count, canser.FRAME_DTYPE), np.zeros(count, np.int64)
-    frames = canser.decode(stream, protocol, out=out, offsets=offsets, threads=threads)
+    frames = canser.decode(stream, protocol, out=out, offsets=offsets, threads=threads, as_is=True)
     assert np.shares_memory(frames, out)
     assert frames.tobytes() == reference.pack(expected.frames)
     assert offsets.tolist() == expected.offsets
     if count > 1:
         with pytest.raises(ValueError, match=rf"\b{count}\b"):
-            canser.decode(stream, protocol, out=out[:-1], threads=threads)
+            canser.decode(stream, protocol, out=out[:-1], threads=threads, as_is=True)
 
 
 @every_protocol
@@ -571,7 +574,9 @@ def test_start_of_capture(name: str) -> None:
         assert_agree(run, held)
         run.flush()
         assert_agree(run, expected)
-    assert canser.decode(stream, protocol, threads=2).tobytes() == reference.pack(expected.frames)
+    assert canser.decode(stream, protocol, threads=2, as_is=True).tobytes() == reference.pack(
+        expected.frames
+    )
 
 
 @shared.needs_captures
