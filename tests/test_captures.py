@@ -441,6 +441,7 @@ def test_auto_does_not_guess(tmp_path: Path) -> None:
         (b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n1,2,false\n", "GVRET"),
         (b"dear diary, today nothing came over the bus\n", "a text"),
     ],
+    ids=["candump", "ASC", "TRC", "gzip", "BLF", "GVRET", "text"],
 )
 def test_other_formats_are_named_with_what_reads_them(
     head: bytes, message: str, protocol: str | None, tmp_path: Path
