@@ -67,3 +67,33 @@ def test_a_new_file_that_another_one_locks_first_is_left_to_it(
         RecordingWriter(path, INFO)
     assert caught.value.filename == str(path)
     assert path.exists()
+
+
+WINDOWS = """
+import numpy, cffi, select, sys, types
+sys.platform = "win32"
+for name in ("termios", "fcntl", "grp", "pty", "tty"):
+    sys.modules[name] = None
+calls = []
+import ctypes
+
+class Kernel:
+    def __init__(self, name, use_last_error):
+        assert (name, use_last_error) == ("kernel32", True)
+
+    def LockFile(self, handle, *rest):
+        calls.append((handle.value, *rest))
+        return len(calls) == 1
+
+sys.modules["msvcrt"] = types.SimpleNamespace(get_osfhandle=lambda fd: 1000 + fd)
+ctypes.WinDLL, ctypes.get_last_error = Kernel, lambda: {2: 33, 3: 1}[len(calls)]
+from canser.recordings._lock import lock
+print(lock(7), lock(7), lock(7), calls[0])
+"""
+
+
+def test_windows_locks_a_byte_that_no_file_has() -> None:
+    """By a copy of its calls; an error other than that of the lock is a system without locks."""
+    call = [sys.executable, "-c", WINDOWS]
+    done = subprocess.run(call, check=True, capture_output=True, text=True)
+    assert done.stdout.strip() == "True False True (1007, 0, 1073741824, 1, 0)"
