@@ -33,6 +33,10 @@ SANITIZED = [*DEBUG, "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
 STRINGS = os.environ.get("CANSER_STRINGS", "5000")
 SHORT = "500"
 
+takes_long = pytest.mark.skipif(
+    STRINGS != "all", reason="takes long: CANSER_STRINGS=all, as in .ci/run"
+)
+
 pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="guard pages are made with POSIX calls"),
     pytest.mark.skipif(not shutil.which(COMPILER[0]), reason=f"no C compiler {COMPILER[0]!r}"),
@@ -92,6 +96,7 @@ def test_short_strings_without_vectors(tmp_path: Path) -> None:
     assert_all_pass(run(build_test(tmp_path, "cases", *PORTABLE), SHORT))
 
 
+@takes_long
 def test_guard_pages_without_vectors(tmp_path: Path) -> None:
     assert_all_pass(run(build_test(tmp_path, "guard", *PORTABLE)))
 
@@ -100,6 +105,7 @@ def test_guard_pages(tmp_path: Path) -> None:
     assert_all_pass(run(build_test(tmp_path, "guard", *FAST)))
 
 
+@takes_long
 def test_guard_pages_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
     assert_all_pass(run(build_test(tmp_path, "guard", *debug_flags)))
 
