@@ -572,7 +572,7 @@ def test_control_packets_that_nobody_takes_are_bounded_and_counted() -> None:
 
 
 def test_decode_keeps_no_control_packets() -> None:
-    # Nobody could take them.
+    # No caller could take them.
     raw = b"\xff\xff\x00" * 100_000
     tracemalloc.start()
     try:
