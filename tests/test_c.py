@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 import vectors
+from long import LONG, takes_long
 
 HERE = Path(__file__).parent
 SOURCES = sorted((HERE.parent / "csrc").glob("*.c"))
@@ -29,13 +30,9 @@ DEBUG = ["-g", "-O1"]
 SANITIZED = [*DEBUG, "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 # Strings of each set and length: as many as take some seconds, under sanitizers too. All of them
-# take more than a minute: CANSER_STRINGS=all, as in .ci/run.
-STRINGS = os.environ.get("CANSER_STRINGS", "5000")
-SHORT = "500"
-
-takes_long = pytest.mark.skipif(
-    STRINGS != "all", reason="takes long: CANSER_STRINGS=all, as in .ci/run"
-)
+# take more than a minute.
+STRINGS = [] if LONG else ["2000"]
+SHORT = "500" if LONG else "100"
 
 pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="guard pages are made with POSIX calls"),
@@ -84,8 +81,7 @@ def debug_flags(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 
 def test_every_short_string(tmp_path: Path) -> None:
-    limit = [] if STRINGS == "all" else [STRINGS]
-    assert_all_pass(run(build_test(tmp_path, "cases", *FAST), *limit))
+    assert_all_pass(run(build_test(tmp_path, "cases", *FAST), *STRINGS))
 
 
 def test_short_strings_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:

@@ -1,6 +1,5 @@
 """Which protocol fits: the right one, and none where there is none."""
 
-import os
 from collections.abc import Iterator
 
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 import canser
 from canser.frames import FRAME_DTYPE
 from canser.simulation.traffic import line_noise, vehicle
+from long import LONG
 
 
 @pytest.mark.parametrize("protocol", canser.protocols())
@@ -71,8 +71,8 @@ def test_the_same_bytes_give_the_same_answer() -> None:
     assert canser.identify(raw) == canser.identify(raw)
 
 
-# Buses of each kind: few here, as each takes some milliseconds; 50 in .ci/run.
-BUSES = int(os.environ.get("CANSER_BUSES", "1"))
+# Buses of each kind: each takes some milliseconds.
+BUSES = 50 if LONG else 1
 
 
 def quiet_buses(protocol: str, id_count: int, dlc: int, *, counter: bool) -> Iterator[bytes]:

@@ -13,9 +13,10 @@ import pytest
 import plain_pcapng
 from canser.errors import RecordingError
 from canser.recordings.recording import Recording, recover
+from long import LONG
 
 # More of them in `make soak`.
-RUNS = int(os.environ.get("CANSER_KILLS", "200"))
+RUNS = int(os.environ.get("CANSER_KILLS", "200" if LONG else "50"))
 
 # Starts writers as its children, kills each at a random moment, and names its file: a fork
 # costs a hundredth of a new interpreter. A writer writes as fast as it can, until it is

@@ -1,0 +1,13 @@
+"""Tests that take long do a part of their work by default, all of it with CANSER_LONG=1.
+
+`.ci/run` does all of it.
+"""
+
+import os
+from typing import Final
+
+import pytest
+
+LONG: Final = os.environ.get("CANSER_LONG", "") == "1"
+
+takes_long: Final = pytest.mark.skipif(not LONG, reason="takes long: CANSER_LONG=1, as in .ci/run")
