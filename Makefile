@@ -29,7 +29,7 @@ soak: $(VENV)/.bench $(VENV)/.test ## an hour of a line at 2 Mbaud for each prot
 	CANSER_KILLS=1000 $(BIN)/python -m pytest -q -s tests/test_recording_kill.py
 
 clean:
-	rm -rf $(VENV) build dist canser.egg-info canser/_core.*.so canser/_core.*.pyd
+	rm -rf $(VENV) build dist canser.egg-info canser/_core/_lib.*.so canser/_core/_lib.*.pyd
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

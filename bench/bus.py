@@ -20,7 +20,7 @@ from can.interfaces.serial.serial_can import SerialBus
 
 import canser
 import data
-from canser.frames import FrameArray
+from canser._frames import FrameArray
 from canser.python_can._messages import Row, rows
 from canser.python_can.bus import CanserBus
 from measure import Work, machine, paired

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from canser.frames import FRAME_DTYPE, FrameArray
+from canser._frames import FRAME_DTYPE, FrameArray
 from canser.simulation.traffic import vehicle
 
 

@@ -60,7 +60,7 @@ class Growth:
         return float(np.polyfit(x, y, 1)[0])
 
 
-def take(decoder: canser.Decoder, raw: Bytes, out: canser.frames.FrameArray) -> None:
+def take(decoder: canser.Decoder, raw: Bytes, out: canser.FrameArray) -> None:
     """Decode all of a stream, however often the array gets full."""
     done = 0
     while done < len(raw):
@@ -69,7 +69,7 @@ def take(decoder: canser.Decoder, raw: Bytes, out: canser.frames.FrameArray) -> 
 
 
 def fastest(
-    protocol: str, streams: list[Bytes], out: canser.frames.FrameArray, rounds: int
+    protocol: str, streams: list[Bytes], out: canser.FrameArray, rounds: int
 ) -> list[float]:
     """Return the seconds that each stream takes when nothing disturbs it.
 
@@ -91,9 +91,7 @@ def fastest(
     return best
 
 
-def inputs(
-    protocol: str, largest: int, out: canser.frames.FrameArray
-) -> Iterator[tuple[str, str, Bytes]]:
+def inputs(protocol: str, largest: int, out: canser.FrameArray) -> Iterator[tuple[str, str, Bytes]]:
     """Yield the kind, the name and the bytes of each input, at its largest."""
     frames = data.mixed(PATTERN // 16, protocol)
     raw = np.frombuffer(canser.encode(frames, protocol), np.uint8)

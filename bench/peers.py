@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 import canser
 import data
-from canser.frames import FrameArray
+from canser._frames import FrameArray
 
 Bytes = npt.NDArray[np.uint8]
 Ints = npt.NDArray[np.int64]

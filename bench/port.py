@@ -19,7 +19,7 @@ import numpy as np
 
 import canser
 import data
-from canser.frames import FrameArray
+from canser._frames import FrameArray
 from measure import machine, seconds
 
 # What the line of the fastest adapters carries, in bytes a second: 2,000,000 baud, 10 bits a byte.

@@ -22,9 +22,9 @@ import numpy as np
 import numpy.typing as npt
 
 import canser
-from canser.frames import FrameArray
-from canser.recordings.recorder import Recorder
-from canser.recordings.recording import RecordingInfo
+from canser._frames import FrameArray
+from canser.recording.recorder import Recorder
+from canser.recording.recording import RecordingInfo
 from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import vehicle
 from measure import machine

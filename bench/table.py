@@ -24,7 +24,7 @@ import growth
 import instructions
 import memory
 import peers
-from canser.frames import FrameArray
+from canser._frames import FrameArray
 from hostile import Bytes, hostile, noisy, tiled
 from measure import copy_and_fill, machine, paired
 

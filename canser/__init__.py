@@ -1,56 +1,147 @@
-"""Decode and encode the byte streams of serial CAN adapters, into numpy arrays."""
+"""Decode and encode the byte streams of serial CAN adapters, into numpy arrays.
 
-from canser.captures import Blocks, blocks, read
-from canser.codec import Control, Decoder, Stats, decode, encode, protocols
-from canser.errors import (
-    CanserError,
-    CanserWarning,
-    FormatError,
-    PortBusyError,
-    PortClosedError,
-    PortDeniedError,
-    PortError,
-    PortGoneError,
-    PortNotFoundError,
-    RecordingError,
-    SendError,
-    SendTimeoutError,
-)
-from canser.frames import FRAME_DTYPE, NO_TIME, concat, match
-from canser.identify import Fit, identify
-from canser.live.ports import Gap, Port, PortInfo, list_ports, open  # noqa: A004 - as in gzip.open
+Each public name is here. Its module is loaded when the name is first asked for.
+"""
 
-__all__ = [
-    "FRAME_DTYPE",
-    "NO_TIME",
-    "Blocks",
-    "CanserError",
-    "CanserWarning",
-    "Control",
-    "Decoder",
-    "Fit",
-    "FormatError",
-    "Gap",
-    "Port",
-    "PortBusyError",
-    "PortClosedError",
-    "PortDeniedError",
-    "PortError",
-    "PortGoneError",
-    "PortInfo",
-    "PortNotFoundError",
-    "RecordingError",
-    "SendError",
-    "SendTimeoutError",
-    "Stats",
-    "blocks",
-    "concat",
-    "decode",
-    "encode",
-    "identify",
-    "list_ports",
-    "match",
-    "open",
-    "protocols",
-    "read",
-]
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from canser._core.stream import Control as Control
+    from canser._frames import FRAME_DTYPE as FRAME_DTYPE
+    from canser._frames import NO_TIME as NO_TIME
+    from canser._frames import FrameArray as FrameArray
+    from canser._frames import concat as concat
+    from canser._frames import match as match
+    from canser._protocols import Protocol as Protocol
+    from canser._protocols import protocol as protocol
+    from canser._protocols import protocols as protocols
+    from canser.adapters import AdapterReport as AdapterReport
+    from canser.codec.decoder import Decoder as Decoder
+    from canser.codec.decoder import Stats as Stats
+    from canser.codec.decoder import decode as decode
+    from canser.codec.decoder import encode as encode
+    from canser.errors import CanserError as CanserError
+    from canser.errors import CanserWarning as CanserWarning
+    from canser.errors import ForeignFormatError as ForeignFormatError
+    from canser.errors import FormatError as FormatError
+    from canser.errors import NoProtocolError as NoProtocolError
+    from canser.errors import OutputExistsError as OutputExistsError
+    from canser.errors import PortBusyError as PortBusyError
+    from canser.errors import PortClosedError as PortClosedError
+    from canser.errors import PortDeniedError as PortDeniedError
+    from canser.errors import PortError as PortError
+    from canser.errors import PortGoneError as PortGoneError
+    from canser.errors import PortNotFoundError as PortNotFoundError
+    from canser.errors import ReaderGoneError as ReaderGoneError
+    from canser.errors import RecordingError as RecordingError
+    from canser.errors import SendError as SendError
+    from canser.errors import SendTimeoutError as SendTimeoutError
+    from canser.errors import StreamClosedError as StreamClosedError
+    from canser.errors import WrongProtocolError as WrongProtocolError
+    from canser.files.captures import Blocks as Blocks
+    from canser.files.captures import blocks as blocks
+    from canser.files.captures import read as read
+    from canser.files.fits import Fit as Fit
+    from canser.files.fits import identify as identify
+    from canser.live.ports import Port as Port
+    from canser.live.ports import PortInfo as PortInfo
+    from canser.live.ports import list_ports as list_ports
+    from canser.live.ports import open as open  # noqa: A004 - as in gzip.open
+    from canser.live.ring import Gap as Gap
+    from canser.recording.recorder import Event as Event
+    from canser.recording.recorder import Recorder as Recorder
+    from canser.recording.recording import RecordingInfo as RecordingInfo
+    from canser.simulation.simulator import Simulator as Simulator
+    from canser.simulation.simulator import SimulatorReport as SimulatorReport
+    from canser.timing.clocks import ClockEstimate as ClockEstimate
+
+# The public names by the module that makes them; type checkers read the imports above.
+_HOMES: Final = {
+    "canser._core.stream": ("Control",),
+    "canser._frames": (
+        "FRAME_DTYPE",
+        "NO_TIME",
+        "FrameArray",
+        "concat",
+        "match",
+    ),
+    "canser._protocols": (
+        "Protocol",
+        "protocol",
+        "protocols",
+    ),
+    "canser.adapters": ("AdapterReport",),
+    "canser.codec.decoder": (
+        "Decoder",
+        "Stats",
+        "decode",
+        "encode",
+    ),
+    "canser.errors": (
+        "CanserError",
+        "CanserWarning",
+        "ForeignFormatError",
+        "FormatError",
+        "NoProtocolError",
+        "OutputExistsError",
+        "PortBusyError",
+        "PortClosedError",
+        "PortDeniedError",
+        "PortError",
+        "PortGoneError",
+        "PortNotFoundError",
+        "ReaderGoneError",
+        "RecordingError",
+        "SendError",
+        "SendTimeoutError",
+        "StreamClosedError",
+        "WrongProtocolError",
+    ),
+    "canser.files.captures": (
+        "Blocks",
+        "blocks",
+        "read",
+    ),
+    "canser.files.fits": (
+        "Fit",
+        "identify",
+    ),
+    "canser.live.ports": (
+        "Port",
+        "PortInfo",
+        "list_ports",
+        "open",
+    ),
+    "canser.live.ring": ("Gap",),
+    "canser.recording.recorder": (
+        "Event",
+        "Recorder",
+    ),
+    "canser.recording.recording": ("RecordingInfo",),
+    "canser.simulation.simulator": (
+        "Simulator",
+        "SimulatorReport",
+    ),
+    "canser.timing.clocks": ("ClockEstimate",),
+}
+_HOME: Final = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = [*_HOME, "__version__"]  # noqa: PLE0604 - they are strings
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        value = getattr(import_module(_HOME[name]), name)
+    elif name == "__version__":
+        from importlib.metadata import version  # noqa: PLC0415 - slow to load, and seldom asked for
+
+        value = version("canser")
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value  # found at once from now on
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -2,6 +2,6 @@
 
 import sys
 
-from canser.cli import main
+from canser.commands.cli import main
 
 sys.exit(main())

@@ -4,10 +4,9 @@ import math
 import numbers
 import operator
 import reprlib
+import sys
 import threading
 from typing import Any
-
-import numpy as np
 
 __all__ = ["flag", "real", "text", "timeout", "whole"]
 
@@ -50,7 +49,9 @@ def timeout(value: Any, name: str = "timeout") -> float | None:
 
 def flag(value: Any, name: str) -> bool:
     """Return True or False; TypeError for anything else: "no" would count as True."""
-    if not isinstance(value, (bool, np.bool_)):
+    # This module does not import numpy: where it is not loaded, the value is none of its own.
+    numpy = sys.modules.get("numpy")
+    if not isinstance(value, bool) and not (numpy and isinstance(value, numpy.bool_)):
         raise _wrong_type(value, name, "True or False")
     return bool(value)
 
@@ -65,3 +66,9 @@ def text(value: Any, name: str, such_as: str) -> str:
 def _wrong_type(value: Any, name: str, wanted: str) -> TypeError:
     shown = " ".join(reprlib.repr(value).split())
     return TypeError(f"{name} is {shown}; it must be {wanted}")
+
+
+def type_name(value: object) -> str:
+    """Name a value's type for an error message, with the dtype of an array."""
+    dtype = getattr(value, "dtype", None)
+    return type(value).__name__ if dtype is None else f"an array of {dtype}"

@@ -13,15 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, TextIO, cast
 
 from canser._named import NamedFile, named
-from canser.errors import StreamClosedError
-
-
-class OutputExistsError(FileExistsError):
-    """The file is there, and nobody said that it may be replaced."""
-
-
-class ReaderGoneError(BrokenPipeError):
-    """The reader of the standard output has ended. That is no failure: `canser dump | head`."""
+from canser.errors import OutputExistsError, ReaderGoneError, StreamClosedError
 
 
 class _StandardOutput(NamedFile):

@@ -3,14 +3,15 @@
 from dataclasses import dataclass
 from typing import Final
 
-from canser import _binding
-from canser._binding import MODE_NAMES, BytesLike
 from canser._checks import flag, whole
+from canser._core.buffers import BytesLike
+from canser._core.packets import Config, configure, explain
+from canser._core.table import MODE_NAMES, find_protocol
 
 __all__ = [
     "FRAME_TYPES",
     "MODE_NAMES",
-    "Report",
+    "AdapterReport",
     "baudrate",
     "bitrates",
     "configuration",
@@ -27,7 +28,7 @@ _ID_MAX: Final = 0x1FFF_FFFF
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class AdapterReport:
     """What a control packet says. A field that its kind does not have is None.
 
     The same bytes mean the same in both directions: a request for the status reads as a
@@ -52,12 +53,12 @@ class Report:
 
 def baudrate(protocol: str) -> int:
     """Return the rate of the serial line in bit/s that the adapters come with."""
-    return _binding.find_protocol(protocol).baudrate
+    return find_protocol(protocol).baudrate
 
 
 def bitrates(protocol: str) -> tuple[int, ...]:
     """Return the rates of the bus in bit/s that an adapter can be configured to, or none."""
-    return _binding.find_protocol(protocol).bitrates
+    return find_protocol(protocol).bitrates
 
 
 def configures(protocol: str) -> bool:
@@ -67,12 +68,12 @@ def configures(protocol: str) -> bool:
 
 def ping(protocol: str) -> bytes:
     """Return the packet that an adapter sends straight back, b"" if there is none."""
-    return _binding.find_protocol(protocol).ping
+    return find_protocol(protocol).ping
 
 
 def status_request(protocol: str) -> bytes:
     """Return the packet that an adapter answers with its status, b"" if there is none."""
-    return _binding.find_protocol(protocol).status_request
+    return find_protocol(protocol).status_request
 
 
 def configuration(
@@ -98,14 +99,14 @@ def configuration(
     ValueError if the protocol has no configuration, or for a value that it does not know;
     TypeError for one of another type.
     """
-    row = _binding.find_protocol(protocol)
+    row = find_protocol(protocol)
     if not row.bitrates:
         raise ValueError(f"{row.name} adapters take no configuration; leave bitrate out")
     rate = whole(bitrate, "bitrate", "500000")
     if rate not in row.bitrates:
         have = ", ".join(map(str, row.bitrates))
         raise ValueError(f"bitrate {rate} is none of the adapter's: {have}")
-    config = _binding.Config(
+    config = Config(
         bitrate=rate,
         filter_id=_id(filter_id, "filter_id"),
         filter_mask=_id(filter_mask, "filter_mask"),
@@ -114,32 +115,32 @@ def configuration(
         once=flag(once, "once"),
         fixed=flag(fixed, "fixed"),
     )
-    return _binding.configure(row, config)
+    return configure(row, config)
 
 
-def report(protocol: str, data: BytesLike) -> Report:
+def report(protocol: str, data: BytesLike) -> AdapterReport:
     """Return what a control packet says.
 
     `data`: the bytes of one, as `Decoder.take_controls` gives them. A configuration with
     a value that nobody knows is of kind "other". ValueError for bytes that are no control
     packet, or not one; TypeError, BufferError for data that is no contiguous buffer.
     """
-    row = _binding.find_protocol(protocol)
-    said = _binding.explain(row, data)
+    row = find_protocol(protocol)
+    said = explain(row, data)
     if said is None:
         raise ValueError(
             f"data is not one control packet of {row.name}; pass one that "
             "Decoder.take_controls gave"
         )
     if said.kind == "status":
-        return Report(
+        return AdapterReport(
             said.kind, receive_errors=said.receive_errors, transmit_errors=said.transmit_errors
         )
     if said.kind == "error":
-        return Report(said.kind, number=said.number)
+        return AdapterReport(said.kind, number=said.number)
     if said.kind == "configuration":
         config = said.config
-        return Report(
+        return AdapterReport(
             said.kind,
             bitrate=config.bitrate,
             mode=MODE_NAMES[config.mode],
@@ -149,7 +150,7 @@ def report(protocol: str, data: BytesLike) -> Report:
             once=config.once,
             fixed=config.fixed,
         )
-    return Report(said.kind)
+    return AdapterReport(said.kind)
 
 
 def _place(name: str, what: str, names: tuple[str, ...]) -> int:

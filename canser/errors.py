@@ -17,6 +17,61 @@ class StreamClosedError(CanserError):
     """The standard input or output is to be used, and the caller has closed it."""
 
 
+class ForeignFormatError(FormatError):
+    """A file is plainly of another format than raw bytes or a recording.
+
+    Attributes
+    ----------
+    what : str
+        Which format it is.
+    option : str
+        What `format` reads it, "" if canser does not.
+    """
+
+    def __init__(self, message: str, *, what: str, option: str) -> None:
+        super().__init__(message)
+        self.what, self.option = what, option
+
+
+class NoProtocolError(ValueError):
+    """Raw bytes are to be read, and their protocol is neither given nor plain.
+
+    Attributes
+    ----------
+    looks : str
+        What the bytes look like.
+    choices : tuple of str
+        The protocols to choose from; the one that fits alone if there is one, with "auto" if
+        that would take it.
+    """
+
+    def __init__(self, looks: str, choices: tuple[str, ...]) -> None:
+        super().__init__(f"{looks}; give protocol={' or '.join(map(repr, choices))}")
+        self.looks, self.choices = looks, choices
+
+
+class WrongProtocolError(ValueError):
+    """A recording is to be read in another protocol than its own.
+
+    Attributes
+    ----------
+    what : str
+        Which protocol it has, and which was given.
+    """
+
+    def __init__(self, what: str) -> None:
+        super().__init__(f"{what}; leave the protocol out, or accept it by as_is=True")
+        self.what = what
+
+
+class OutputExistsError(FileExistsError):
+    """The file to write is there already, and must not be replaced."""
+
+
+class ReaderGoneError(BrokenPipeError):
+    """The reader of the standard output has gone, as `head` does."""
+
+
 class RecordingError(FormatError):
     """A recording holds nothing that can be read; the message names the place."""
 

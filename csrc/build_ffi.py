@@ -16,7 +16,7 @@ assert bound, "canser.h has lost its cffi region"
 ffibuilder = cffi.FFI()
 ffibuilder.cdef(bound.group(1))
 ffibuilder.set_source(
-    "canser._core",
+    "canser._core._lib",
     '#include "canser.h"',
     sources=sorted(path.relative_to(ROOT).as_posix() for path in HERE.glob("*.c")),
     include_dirs=[HERE.relative_to(ROOT).as_posix()],

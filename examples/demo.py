@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 import canser
-from canser.recordings.recording import Recording
+from canser.recording.recording import Recording
 
 FOLDER = Path("build/demo")
 SECONDS = 6

@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from canser.cli import main
+from canser.commands.cli import main
 from device import PATIENCE
 
 
@@ -83,7 +83,7 @@ class Running:
 
 @contextlib.contextmanager
 def running(folder: Path, *arguments: str, python: str = "", **more: Any) -> Iterator[Running]:
-    """Run a command of canser; `python`: by code that calls `main` of canser.cli."""
+    """Run a command of canser; `python`: by code that calls `main` of canser.commands.cli."""
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     call = [sys.executable, *(["-c", python] if python else ["-m", "canser"]), *arguments]
     process: Any = subprocess.Popen(call, cwd=folder, **pipes | more)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import canser
-from canser import parallel
+from canser.codec import parallel
 from reference import RECORD, Control, Result, Stats, unpack
 
 # No deadline: a shared machine is late now and then. In CI the same examples every time, so that

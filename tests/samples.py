@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from hypothesis import strategies as st
 
+from canser._frames import FRAME_DTYPE, FrameArray
 from canser.errors import FormatError
-from canser.frames import FRAME_DTYPE, FrameArray
 from reference import DLC_MAX, ID_EXT_MAX, ID_MAX, NO_TIME, Frame, pack, unpack
 
 MICROSECOND = 1_000

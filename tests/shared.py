@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray
 
 CAPTURES = Path(__file__).parents[2] / "shared" / "captures"
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import canser
 import vectors
 from canser import adapters
-from canser.adapters import Report
+from canser.adapters import AdapterReport
 
 BITRATES = [1000 * kilo for kilo in (1000, 800, 500, 400, 250, 200, 125, 100, 50, 20, 10, 5)]
 MODES = ["normal", "loopback", "silent", "loopback-silent"]
@@ -79,7 +79,7 @@ def test_a_real_trace() -> None:
     # python-can asks for no retransmission.
     trace = bytes.fromhex("AA 55 12 03 01 00 00 00 00 00 00 00 00 00 01 00 00 00 00 17")
     assert adapters.configuration("seeed", once=True) == trace
-    assert adapters.report("seeed", trace) == Report(
+    assert adapters.report("seeed", trace) == AdapterReport(
         "configuration",
         bitrate=500_000,
         mode="normal",
@@ -103,7 +103,7 @@ def test_all_fields_of_a_configuration() -> None:
         "fixed": True,
     }
     assert adapters.configuration("waveshare", **settings) == raw
-    assert adapters.report("waveshare", raw) == Report("configuration", **settings)
+    assert adapters.report("waveshare", raw) == AdapterReport("configuration", **settings)
 
 
 @pytest.mark.parametrize("protocol", ["seeed", "cantalope"])
@@ -130,7 +130,7 @@ def test_a_configuration_says_what_was_asked_for(settings: dict[str, Any]) -> No
         settings["once"],
     )
     report = adapters.report("seeed", control_of(raw, "seeed"))
-    assert report == Report("configuration", **settings)
+    assert report == AdapterReport("configuration", **settings)
 
 
 def test_python_can_sends_the_same() -> None:
@@ -184,7 +184,7 @@ def test_what_a_configuration_cannot_say_is_other(command: int, place: int) -> N
         if report.kind == "configuration":
             told.add(value)
         elif (place, value) != (2, 4):  # a status
-            assert report == Report("other")
+            assert report == AdapterReport("other")
     assert told == good.get(place, {0})
 
 
@@ -237,7 +237,7 @@ def test_ping() -> None:
     assert adapters.ping("cantalope") == b"\xff\xff\0"
     assert adapters.ping("seeed") == adapters.ping("serial") == b""
     control = control_of(adapters.ping("cantalope"), "cantalope")
-    assert adapters.report("cantalope", control) == Report("ping")
+    assert adapters.report("cantalope", control) == AdapterReport("ping")
 
 
 def test_status_request() -> None:
@@ -245,19 +245,19 @@ def test_status_request() -> None:
     assert request == bytes.fromhex("AA 55 04") + bytes(16) + b"\x04"
     assert adapters.status_request("cantalope") == adapters.status_request("serial") == b""
     report = adapters.report("seeed", control_of(request, "seeed"))
-    assert report == Report("status", receive_errors=0, transmit_errors=0)
+    assert report == AdapterReport("status", receive_errors=0, transmit_errors=0)
 
 
 @given(st.integers(0, 255), st.integers(0, 255), st.binary(min_size=14, max_size=14))
 def test_a_status_has_both_error_counters(receive: int, transmit: int, rest: bytes) -> None:
     report = adapters.report("seeed", fixed_packet(4, receive, transmit, *rest))
-    assert report == Report("status", receive_errors=receive, transmit_errors=transmit)
+    assert report == AdapterReport("status", receive_errors=receive, transmit_errors=transmit)
 
 
 @given(st.integers(0, 255))
 def test_an_error_has_its_number(number: int) -> None:
     report = adapters.report("cantalope", bytes([0xFF, 0xFF, 0x01, number]))
-    assert report == Report("error", number=number)
+    assert report == AdapterReport("error", number=number)
 
 
 @given(
@@ -298,13 +298,13 @@ def test_other_bytes_are_refused(protocol: str, data: bytes) -> None:
 
 def test_any_buffer_is_reported() -> None:
     ping = bytearray(b"\xff\xff\0")
-    assert adapters.report("cantalope", memoryview(ping)) == Report("ping")
+    assert adapters.report("cantalope", memoryview(ping)) == AdapterReport("ping")
     with pytest.raises(TypeError, match="data must be bytes"):
         adapters.report("cantalope", "ping")  # type: ignore[arg-type]
 
 
 def test_a_report_is_frozen() -> None:
-    report = Report("error", number=7)
+    report = AdapterReport("error", number=7)
     with pytest.raises(FrozenInstanceError):
         report.number = 8  # type: ignore[misc]
     assert {name for name, value in asdict(report).items() if value is not None} == {

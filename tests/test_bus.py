@@ -19,7 +19,7 @@ can = pytest.importorskip("can")
 pytest.importorskip("termios", reason="pseudo terminals are POSIX's")
 
 import canser  # noqa: E402
-from canser.frames import FrameArray  # noqa: E402
+from canser._frames import FrameArray  # noqa: E402
 from canser.python_can.bus import CanserBus  # noqa: E402
 from canser.simulation.traffic import vehicle  # noqa: E402
 from device import PATIENCE, Device  # noqa: E402

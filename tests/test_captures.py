@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 
 import canser
-from canser import _input, captures
-from canser.captures import NoProtocolError
-from canser.errors import CanserWarning, FormatError
-from canser.frames import FRAME_DTYPE, FrameArray
-from canser.recordings.recording import RecordingInfo, RecordingWriter
+from canser import _input
+from canser._frames import FRAME_DTYPE, FrameArray
+from canser.errors import CanserWarning, FormatError, NoProtocolError
+from canser.files import captures
+from canser.recording.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import line_noise, vehicle
 
 PROTOCOLS = canser.protocols()

@@ -17,7 +17,7 @@ import pytest
 
 import canser
 from canser.commands import ALL
-from canser.recordings.recording import RecordingInfo, RecordingWriter
+from canser.recording.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import line_noise, vehicle
 
 GOOD, BAD_DATA, BAD_CALL = 0, 1, 2
@@ -657,7 +657,7 @@ RICH = "import sys"
 AT_ONCE = """
 import canser._progress
 canser._progress._PATIENCE = 0
-from canser.cli import main
+from canser.commands.cli import main
 sys.exit(main(sys.argv[1:]))
 """
 

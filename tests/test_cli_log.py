@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 import canser
-from canser.cli import main
-from canser.frames import FRAME_DTYPE, FrameArray
-from canser.recordings.recording import Recording, RecordingInfo, RecordingWriter
+from canser._frames import FRAME_DTYPE, FrameArray
+from canser.commands.cli import main
+from canser.recording.recording import Recording, RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
@@ -221,7 +221,7 @@ def test_a_disk_that_is_full_from_the_start_is_told_with_the_file(tmp_path: Path
 # Runs the command on a disk that takes no more syncs once a file is there.
 BAD_DISK = """
 import errno, os, sys
-from canser.cli import main
+from canser.commands.cli import main
 
 plain = os.fdatasync
 

@@ -17,9 +17,9 @@ from serial.tools.list_ports_common import ListPortInfo
 
 import canser
 import canser.commands._sending
-from canser.cli import main
-from canser.formats.candump import Writer, frames_of
-from canser.recordings.recording import RecordingInfo, RecordingWriter
+from canser.commands.cli import main
+from canser.files.candump import Writer, frames_of
+from canser.recording.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
@@ -106,7 +106,7 @@ def test_typos(
     assert words in line
 
 
-def write_log(path: Path, frames: canser.frames.FrameArray) -> None:
+def write_log(path: Path, frames: canser.FrameArray) -> None:
     with path.open("wb") as file:
         Writer(file).write(frames)
 

@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 
 import canser
-from canser.cli import main
+from canser._frames import FrameArray
+from canser.commands.cli import main
 from canser.commands.simulate import _traffic
-from canser.formats.candump import frames_of
-from canser.frames import FrameArray
+from canser.files.candump import frames_of
 from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import damage, vehicle
 

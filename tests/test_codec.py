@@ -22,8 +22,10 @@ import numpy as np
 import pytest
 
 import canser
-from canser import adapters, codec
-from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray
+from canser import adapters
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray
+from canser._protocols import TS_UNITS
+from canser.codec import decoder as codec
 from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import line_noise, vehicle
 
@@ -583,7 +585,7 @@ def test_decode_keeps_no_control_packets() -> None:
     assert peak < 100_000
 
 
-@pytest.mark.parametrize(("unit", "tick"), codec.TS_UNITS.items())
+@pytest.mark.parametrize(("unit", "tick"), TS_UNITS.items())
 def test_units_of_time(unit: str, tick: int) -> None:
     frames = np.zeros(3, FRAME_DTYPE)
     frames["ts"] = np.array([0, 1, 5]) * tick

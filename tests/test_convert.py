@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import canser
-from canser.convert import Converted, convert
+from canser._frames import FrameArray
 from canser.errors import FormatError
-from canser.files import RAW, FrameFile, format_of
-from canser.formats import BY_SUFFIX
-from canser.frames import FrameArray
+from canser.files.conversion import Converted, convert
+from canser.files.formats import BY_SUFFIX
+from canser.files.frame_file import RAW, FrameFile, format_of
 from canser.simulation.traffic import vehicle
 from reference import NO_TIME, Frame
 from samples import EPOCH, MICROSECOND, MILLISECOND, SECOND, array, listed, timed

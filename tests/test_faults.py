@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 import canser
-from canser.frames import FRAME_DTYPE, FrameArray
+from canser._frames import FRAME_DTYPE, FrameArray
 from canser.simulation.traffic import line_noise, vehicle
 from device import PATIENCE, Device, descriptors, until
 from reference import Frame

@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canser.errors import CanserWarning, FormatError
-from canser.formats import candump
+from canser.files import candump
 from reference import NO_TIME, Frame
 from samples import EPOCH, FRAMES, MICROSECOND, SECOND, array, frames_or_error, listed
 

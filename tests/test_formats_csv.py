@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canser.errors import CanserWarning, FormatError
-from canser.formats import csv
+from canser.files import csv
 from reference import NO_TIME, Frame
 from samples import EPOCH, FRAMES, SECOND, array, frames_or_error, listed
 

@@ -10,9 +10,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import canser
+from canser._frames import FRAME_DTYPE
 from canser.errors import CanserWarning, FormatError
-from canser.formats import npy
-from canser.frames import FRAME_DTYPE
+from canser.files import npy
 from canser.simulation.traffic import vehicle
 from reference import Frame
 from samples import FRAMES, array, frames_or_error, listed
@@ -33,7 +33,7 @@ class Pipe(io.BytesIO):
         raise io.UnsupportedOperation("tell")
 
 
-def written(*blocks: canser.frames.FrameArray) -> bytes:
+def written(*blocks: canser.FrameArray) -> bytes:
     file = io.BytesIO()
     writer = npy.Writer(file)
     for block in blocks:

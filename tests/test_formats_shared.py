@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from canser.errors import FormatError
-from canser.formats import candump, csv
+from canser.files import candump, csv
 from reference import NO_TIME, Frame
 from samples import listed
 from shared import LOG_FILES, needs_logs

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canser.errors import FormatError
-from canser.formats import _text
-from canser.formats._remarks import Unkept
+from canser.files import _text
+from canser.files._remarks import Unkept
 from reference import NO_TIME
 from samples import SECOND
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import canser
-from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_records
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_records
 
 
-def frames_of(*rows: tuple[int, bool, bool, bool]) -> canser.frames.FrameArray:
+def frames_of(*rows: tuple[int, bool, bool, bool]) -> canser.FrameArray:
     frames = np.zeros(len(rows), FRAME_DTYPE)
     for frame, (arbitration_id, ext, rtr, err) in zip(frames, rows, strict=True):
         frame["id"], frame["ext"], frame["rtr"], frame["err"] = arbitration_id, ext, rtr, err

@@ -13,127 +13,30 @@ import canser
 
 PACKAGE = Path(canser.__file__).parent
 
-# The floors of the house. A module imports from the floors below its own only.
+# The floors of the house, the lowest first. A folder or a module of the root imports from its own
+# floor's folders never, and from the floors below only; within a folder there is no circle.
 FLOORS = [
-    [
-        "canser._checks",
-        "canser._named",
-    ],
-    [
-        "canser._core",
-        "canser._guards",
-        "canser._input",
-        "canser._progress",
-        "canser._signals",
-        "canser.errors",
-        "canser.foreign",
-        "canser.frames",
-        "canser.live",
-        "canser.monitoring",
-        "canser.python_can",
-        "canser.recordings",
-        "canser.recordings._lock",
-        "canser.recordings.pcapng",
-        "canser.restarts",
-        "canser.simulation",
-        "canser.live.ring",
-    ],
-    [
-        "canser._binding",
-        "canser._output",
-        "canser._threads",
-        "canser.formats._remarks",
-        "canser.live.line",
-        "canser.live.meter",
-        "canser.monitoring.livetable",
-        "canser.recordings.recording",
-        "canser.simulation._terminal",
-        "canser.tally",
-    ],
-    [
-        "canser._refusals",
-        "canser.adapters",
-        "canser.doubt",
-        "canser.formats._text",
-        "canser.formats.npy",
-        "canser.live.link",
-        "canser.parallel",
-        "canser.recordings._old",
-        "canser.simulation._ahead",
-        "canser.sinks",
-    ],
-    [
-        "canser.codec",
-        "canser.formats.candump",
-        "canser.formats.csv",
-        "canser.simulation.traffic",
-    ],
-    [
-        "canser.formats",
-        "canser.identify",
-        "canser.live.timing",
-        "canser.simulation._outgoing",
-    ],
-    [
-        "canser.live.stream",
-        "canser.recordings.recorded",
-        "canser.simulation.simulator",
-    ],
-    [
-        "canser.judge",
-        "canser.live.ports",
-    ],
-    [
-        "canser.captures",
-    ],
-    [
-        "canser.files",
-        "canser.live.player",
-        "canser.recordings.recorder",
-        "canser.report",
-    ],
-    [
-        "canser.convert",
-        "canser.commands._common",
-        "canser.commands._numbers",
-        "canser",
-    ],
-    [
-        "canser.commands._port",
-        "canser.commands._screen",
-        "canser.commands._traffic",
-        "canser.commands._sending",
-        "canser.monitoring._table",
-        "canser.python_can._messages",
-    ],
-    [
-        "canser.monitoring.monitor",
-    ],
-    [
-        "canser.commands.convert",
-        "canser.commands.dump",
-        "canser.commands.info",
-        "canser.commands.simulate",
-        "canser.commands.recover",
-        "canser.commands.log",
-        "canser.commands.send",
-        "canser.commands.play",
-        "canser.commands.ports",
-        "canser.commands.monitor",
-    ],
-    [
-        "canser.commands",
-    ],
-    [
-        "canser.cli",
-    ],
-    [
-        "canser.__main__",
-        "canser.python_can.bus",
-        "canser.python_can.logreader",
-    ],
+    ["_checks", "_guards", "_named", "_progress", "_signals", "errors"],
+    ["_frames", "_input", "_output", "_threads"],
+    ["_core"],
+    ["_protocols"],
+    ["adapters", "codec"],
+    ["simulation", "timing"],
+    ["recording"],
+    ["files"],
+    ["live"],
+    ["analysis"],
+    ["", "monitoring", "python_can"],
+    ["commands"],
+    ["__main__"],
 ]
-FLOOR = {module: number for number, modules in enumerate(FLOORS) for module in modules}
+FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
+
+
+def room(module: str) -> str:
+    """Return the folder or the module of the root that a module is or lies in, "" for canser."""
+    return [*module.split("."), ""][1]
+
 
 # Packages that are imported where they are used, in a function, by these modules only.
 WHERE_USED = {
@@ -156,6 +59,10 @@ def modules() -> list[tuple[str, ast.Module]]:
     return found
 
 
+MODULES = modules()
+NAMES = {name for name, _ in MODULES}
+
+
 def imports(tree: ast.Module) -> set[str]:
     """Return every module that is imported anywhere in a file."""
     names = set()
@@ -165,28 +72,37 @@ def imports(tree: ast.Module) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports are absolute"
             assert node.module is not None
-            submodules = {f"{node.module}.{alias.name}" for alias in node.names} & FLOOR.keys()
+            submodules = {f"{node.module}.{alias.name}" for alias in node.names} & NAMES
             names |= submodules or {node.module}
     return names
 
 
-MODULES = modules()
+def ours(tree: ast.Module) -> set[str]:
+    return {module for module in imports(tree) if module.split(".")[0] == "canser"}
 
 
-def test_every_module_has_a_floor() -> None:
-    assert {name for name, _ in MODULES} | {"canser._core"} == FLOOR.keys()
+def test_every_room_has_a_floor() -> None:
+    assert {room(name) for name in NAMES} | {"_core"} == FLOOR.keys()
 
 
 @pytest.mark.parametrize(("name", "tree"), MODULES, ids=[name for name, _ in MODULES])
 def test_imports_run_downwards(name: str, tree: ast.Module) -> None:
-    ours = {module for module in imports(tree) if module.split(".")[0] == "canser"}
-    upwards = {module for module in ours if FLOOR[module] >= FLOOR[name]}
-    assert not upwards
+    here = room(name)
+    others = {module for module in ours(tree) if room(module) != here}
+    assert not {module for module in others if FLOOR[room(module)] >= FLOOR[here]}
+
+
+def test_there_is_no_circle() -> None:
+    below = {name: ours(tree) & NAMES - {name} for name, tree in MODULES}
+    while below:
+        free = {name for name, used in below.items() if not used & below.keys()}
+        assert free, f"a circle in {sorted(below)}"
+        below = {name: used for name, used in below.items() if name not in free}
 
 
 @pytest.mark.parametrize(("name", "tree"), MODULES, ids=[name for name, _ in MODULES])
 def test_only_the_binding_knows_the_compiled_module(name: str, tree: ast.Module) -> None:
-    assert "canser._core" not in imports(tree) or name == "canser._binding"
+    assert "canser._core._lib" not in imports(tree) or name.startswith("canser._core.")
     assert "cffi" not in imports(tree)
 
 
@@ -220,11 +136,19 @@ def test_nobody_imports_a_plugin() -> None:
     assert not {name for name, tree in MODULES if imports(tree) & plugins}
 
 
-def test_import_canser_brings_numpy_and_cffi_only() -> None:
-    code = "import sys, canser; print('\\n'.join(sys.modules))"
+def loaded_by(code: str) -> set[str]:
+    code = f"{code}; import sys; print('\\n'.join(sys.modules))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = set(run.stdout.split())
-    assert {"canser", "numpy"} <= loaded
+    return set(run.stdout.split())
+
+
+def test_import_canser_brings_nothing_yet() -> None:
+    assert not {"numpy", "_cffi_backend", "canser.errors"} & loaded_by("import canser")
+
+
+def test_all_public_names_bring_numpy_and_cffi_only() -> None:
+    loaded = loaded_by("from canser import *")
+    assert {"canser.codec.decoder", "numpy"} <= loaded
     unwanted = {"serial", "asyncio", "can", "pandas", "pyarrow", "rich", "textual", "matplotlib"}
     unwanted |= {"argparse"}
     assert not unwanted & loaded

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import canser
-from canser.frames import FRAME_DTYPE
+from canser._frames import FRAME_DTYPE
 from canser.simulation.traffic import line_noise, vehicle
 from long import LONG
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray
 from canser.monitoring import livetable
 from canser.monitoring.livetable import (
     COLUMNS,
@@ -22,7 +22,7 @@ from canser.monitoring.livetable import (
     exact,
     ordered,
 )
-from canser.restarts import Clock
+from canser.timing.restarts import Clock
 from reference import Frame
 from samples import MILLISECOND as MS
 from samples import array

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from canser.recordings._lock import is_locked, lock
-from canser.recordings.recording import Recording, RecordingInfo, RecordingWriter
+from canser.recording._lock import is_locked, lock
+from canser.recording.recording import Recording, RecordingInfo, RecordingWriter
 
 INFO = RecordingInfo("seeed", 2_000_000, 500_000, "us", "/dev/ttyUSB0")
 
@@ -27,7 +27,7 @@ def test_the_lock_ends_with_the_file(tmp_path: Path) -> None:
 
 def test_a_recording_is_locked_while_it_is_written_and_can_be_read(tmp_path: Path) -> None:
     path = tmp_path / "run.pcapng"
-    code = "import sys; from pathlib import Path; from canser.recordings._lock import is_locked\n"
+    code = "import sys; from pathlib import Path; from canser.recording._lock import is_locked\n"
     code += "print(is_locked(Path(sys.argv[1])))"
 
     def seen_by_others() -> str:
@@ -61,7 +61,7 @@ def test_a_file_system_without_locks_does_without(
 def test_a_new_file_that_another_one_locks_first_is_left_to_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("canser.recordings.recording.lock", lambda _: False)
+    monkeypatch.setattr("canser.recording.recording.lock", lambda _: False)
     path = tmp_path / "run.pcapng"
     with pytest.raises(FileExistsError, match="another program records into it") as caught:
         RecordingWriter(path, INFO)
@@ -87,7 +87,7 @@ class Kernel:
 
 sys.modules["msvcrt"] = types.SimpleNamespace(get_osfhandle=lambda fd: 1000 + fd)
 ctypes.WinDLL, ctypes.get_last_error = Kernel, lambda: {2: 33, 3: 1}[len(calls)]
-from canser.recordings._lock import lock
+from canser.recording._lock import lock
 print(lock(7), lock(7), lock(7), calls[0])
 """
 

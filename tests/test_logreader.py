@@ -12,11 +12,14 @@ import pytest
 can = pytest.importorskip("can")
 
 import canser  # noqa: E402
-from canser.captures import NoProtocolError  # noqa: E402
-from canser.errors import CanserWarning, RecordingError  # noqa: E402
-from canser.frames import NO_TIME, FrameArray  # noqa: E402
+from canser._frames import NO_TIME, FrameArray  # noqa: E402
+from canser.errors import (  # noqa: E402
+    CanserWarning,
+    NoProtocolError,
+    RecordingError,
+)
 from canser.python_can.logreader import CaptureReader  # noqa: E402
-from canser.recordings.recording import RecordingInfo, RecordingWriter  # noqa: E402
+from canser.recording.recording import RecordingInfo, RecordingWriter  # noqa: E402
 from canser.simulation.traffic import vehicle  # noqa: E402
 from plugins import needs_installation  # noqa: E402
 from reference import Frame  # noqa: E402

@@ -5,7 +5,7 @@ import canser
 from canser.live.meter import Meter, bus_bits
 
 
-def frames(*rows: tuple[bool, bool, int, bool]) -> canser.frames.FrameArray:
+def frames(*rows: tuple[bool, bool, int, bool]) -> canser.FrameArray:
     made = np.zeros(len(rows), canser.FRAME_DTYPE)
     for place, row in enumerate(rows):
         made[place]["ext"], made[place]["rtr"], made[place]["dlc"], made[place]["err"] = row

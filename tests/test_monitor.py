@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 import canser
-from canser import cli
-from canser.frames import FRAME_DTYPE, FrameArray
+from canser._frames import FRAME_DTYPE, FrameArray
+from canser.commands import cli
 from canser.live.ports import Gap, host_clock
 from samples import MILLISECOND as MS
 
@@ -585,7 +585,8 @@ def fails(*arguments: str, code: str = "pass") -> str:
         [
             sys.executable,
             "-c",
-            f"import sys; {code}; from canser.cli import main; sys.exit(main(sys.argv[1:]))",
+            f"import sys; {code}; from canser.commands.cli import main; "
+            "sys.exit(main(sys.argv[1:]))",
             *arguments,
         ],
         stdin=subprocess.DEVNULL,

@@ -15,9 +15,9 @@ import canser
 from canser._input import Input
 from canser._named import named
 from canser._output import whole_file
-from canser.cli import main
-from canser.files import FrameFile
-from canser.recordings.recording import RecordingInfo, RecordingWriter
+from canser.commands.cli import main
+from canser.files.frame_file import FrameFile
+from canser.recording.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows has other files and names")

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from canser import cli
-from canser.commands import ALL
+from canser.commands import ALL, cli
 from canser.commands._numbers import byte_count, duration, real, whole
 
 # What int() or float() reads, and is no number by any grammar here.

@@ -8,7 +8,7 @@ import pytest
 
 import canser
 from canser import adapters
-from canser.frames import FrameArray
+from canser._frames import FrameArray
 from canser.simulation._outgoing import Outgoing
 from canser.simulation.traffic import damage, vehicle
 from reference import NO_TIME

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from canser._output import OutputExistsError, whole_file
+from canser._output import whole_file
+from canser.errors import OutputExistsError
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows has other files and names")
 

@@ -26,10 +26,14 @@ from hypothesis import strategies as st
 
 import canser
 import reference
-from canser import _binding, captures, codec, parallel, sinks
-from canser._binding import Chunk, Stream
-from canser.frames import FRAME_DTYPE, FrameArray
-from canser.parallel import Ahead
+from canser import codec
+from canser._core.buffers import Offsets, input_bytes, output_room
+from canser._core.stream import Chunk, Stream
+from canser._core.table import find_protocol
+from canser._frames import FRAME_DTYPE, FrameArray
+from canser.codec import parallel, sinks
+from canser.codec.parallel import Ahead
+from canser.files import captures
 from canser.simulation.traffic import line_noise, vehicle
 from reference import ID_EXT_MAX, ID_MAX, TICK_NS, Frame
 
@@ -243,7 +247,7 @@ def fill(protocol: str, unit: str, stream: bytes, room: int, threads: int) -> Ou
     decoder = canser.Decoder(protocol, ts_unit=unit)
     out = np.frombuffer(bytearray(b"\xee" * FRAME_DTYPE.itemsize * room), FRAME_DTYPE)
     offsets = np.full(room, -1, np.int64)
-    found = decoder._fill(_binding.input_bytes(stream), out, offsets, threads)
+    found = decoder._fill(input_bytes(stream), out, offsets, threads)
     return Outcome(
         found,
         out.tobytes(),
@@ -407,7 +411,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 def test_decode_says_the_same_whatever_is_wrong(protocol: str) -> None:
     stream = capture(protocol)
     count = len(canser.decode(stream, protocol))
-    at: list[_binding.Offsets] = [np.zeros(count, np.int64), np.zeros(count, np.int64)]
+    at: list[Offsets] = [np.zeros(count, np.int64), np.zeros(count, np.int64)]
     at.append(np.zeros(count, np.uint64))
     for threads, offsets in zip((1, 4, 4), at, strict=True):
         canser.decode(stream, protocol, offsets=offsets, threads=threads)
@@ -462,11 +466,11 @@ def test_no_helper_takes_what_the_stream_has_passed(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(parallel, "STRETCH", length)
     monkeypatch.setattr(parallel, "_STRETCH_LEAST", length)
     raw = (b"\xaa" + bytes(9) + b"\xbb") * 1200
-    data = _binding.input_bytes(raw)
-    protocol = _binding.PROTOCOLS["serial"]
+    data = input_bytes(raw)
+    protocol = find_protocol("serial")
     stream = Stream(protocol, 1)
     out = np.empty(1000, FRAME_DTYPE)
-    target, cap, at = _binding.output_room(out, 0, None)
+    target, cap, at = output_room(out, 0, None)
     stream.aim_at(target, cap, at)
     ahead = Ahead(stream, data, len(raw), lambda: chunk, 2)
     chunk = Chunk(protocol, 1, length, offsets=False)
@@ -856,7 +860,7 @@ def test_the_cores_are_those_that_this_process_may_use() -> None:
     # In a process of its own: here it is replaced.
     code = """if True:
         import os, sys
-        from canser.parallel import count_cores
+        from canser.codec.parallel import count_cores
         print(count_cores(), os.cpu_count())
         if hasattr(os, "sched_setaffinity"):
             os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -956,9 +960,10 @@ def test_the_interpreter_ends_while_helpers_wait(end: str, tmp_path: Path) -> No
     path.write_bytes(capture("serial", 20))
     code = (
         "import sys, time, canser\n"
-        "from canser import captures, codec, parallel\n"
+        "from canser.codec import decoder, parallel\n"
+        "from canser.files import captures\n"
         "captures.BLOCK_FRAMES = 100\n"
-        "codec.STRETCH = parallel.STRETCH = parallel._STRETCH_LEAST = 1 << 14\n"
+        "decoder.STRETCH = parallel.STRETCH = parallel._STRETCH_LEAST = 1 << 14\n"
         "parallel.count_cores = lambda: 4\n"
         "blocks = canser.blocks(sys.argv[1], 'serial', threads=4)\n"
         f"print(len(next(blocks)))\n{end}\n"

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import canser
 import canser.live.player
 import shared  # noqa: F401 - Hypothesis' settings
-from canser.frames import FrameArray
+from canser._frames import FrameArray
 from canser.live.player import Lateness, Played, play
 
 MS = 1_000_000

@@ -22,7 +22,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import canser
-from canser.frames import FRAME_DTYPE, FrameArray
+from canser._frames import FRAME_DTYPE, FrameArray
 from canser.simulation.traffic import line_noise, vehicle
 from device import PATIENCE, Device, descriptors, until
 from reference import Frame
@@ -609,7 +609,7 @@ def test_a_status_is_asked_for_and_no_frame_is_lost() -> None:
         assert device.read(20) == canser.adapters.status_request("seeed")
         device.feed(raw[5000:] + STATUS)
         report = asker.join().result
-        assert isinstance(report, canser.adapters.Report)
+        assert isinstance(report, canser.adapters.AdapterReport)
         assert report.receive_errors == 5
         assert select_readable(port)
         assert content(collect(port, len(frames), max_frames=100)) == content(frames)

@@ -7,8 +7,8 @@ import pytest
 
 import canser
 import shared
-from canser import cli
-from canser.frames import NO_TIME, FrameArray
+from canser._frames import NO_TIME, FrameArray
+from canser.commands import cli
 
 pytestmark = shared.needs_captures
 

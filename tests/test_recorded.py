@@ -14,12 +14,11 @@ import pytest
 import canser
 import plain_pcapng
 from canser import _input
-from canser.captures import NoProtocolError
-from canser.errors import CanserWarning, RecordingError
-from canser.frames import FRAME_DTYPE, FrameArray
-from canser.live.timing import Stamper
-from canser.recordings.recording import RecordingInfo, RecordingWriter
+from canser._frames import FRAME_DTYPE, FrameArray
+from canser.errors import CanserWarning, NoProtocolError, RecordingError
+from canser.recording.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
+from canser.timing.clocks import Stamper
 from test_cli import BAD_CALL, BAD_DATA, GOOD, assert_fails, names, run
 
 INFO = RecordingInfo("seeed", 2_000_000, 500_000, "ms", "/dev/ttyUSB0")

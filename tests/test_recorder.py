@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import canser
-import canser.recordings.recorder
+import canser.recording.recorder
 import shared  # noqa: F401 - Hypothesis' settings
-from canser.recordings.recorder import Recorder
-from canser.recordings.recording import Recording, RecordingInfo, RecordingWriter
+from canser.recording.recorder import Recorder
+from canser.recording.recording import Recording, RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
 
 INFO = RecordingInfo("seeed", 2_000_000, 500_000, "ms", "/dev/test")
@@ -350,7 +350,7 @@ def test_without_a_trigger_there_is_no_file(tmp_path: Path) -> None:
 def test_what_waits_for_a_trigger_is_bounded_in_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(canser.recordings.recorder, "MEMORY", 6_000)
+    monkeypatch.setattr(canser.recording.recorder, "MEMORY", 6_000)
     recorder = Recorder(str(tmp_path / "e.pcapng"), INFO, window_ns=(3600 * SECOND, 0))
     feed(recorder, RAW[: ENDS[1000]], step=500)
     assert recorder.out_of_memory

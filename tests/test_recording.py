@@ -21,8 +21,8 @@ import pytest
 import plain_pcapng
 from canser import _input
 from canser.errors import RecordingError
-from canser.recordings import recording
-from canser.recordings.recording import (
+from canser.recording import recording
+from canser.recording.recording import (
     Recording,
     RecordingInfo,
     RecordingWriter,
@@ -361,7 +361,7 @@ def test_a_name_that_is_lost_is_seen_within_a_second_and_at_the_end(
 # A limit on the size of files is to the writer what a full disk is.
 FILLER = """
 import errno, random, resource, sys
-from canser.recordings.recording import RecordingInfo, RecordingWriter
+from canser.recording.recording import RecordingInfo, RecordingWriter
 
 path, room = sys.argv[1], int(sys.argv[2])
 resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
@@ -793,7 +793,7 @@ def test_memory_stays_bounded(tmp_path: Path) -> None:
             writer.write(data, EPOCH + second * 1000 * MS)
     code = (
         "import sys\n"
-        "from canser.recordings.recording import Recording\n"
+        "from canser.recording.recording import Recording\n"
         "peak = lambda: int([line.split()[1] for line in open('/proc/self/status')"
         " if line.startswith('VmHWM')][0])\n"
         "before = peak()\n"

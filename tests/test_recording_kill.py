@@ -12,7 +12,7 @@ import pytest
 
 import plain_pcapng
 from canser.errors import RecordingError
-from canser.recordings.recording import Recording, recover
+from canser.recording.recording import Recording, recover
 from long import LONG
 
 # More of them in `make soak`.
@@ -24,7 +24,7 @@ RUNS = int(os.environ.get("CANSER_KILLS", "200" if LONG else "50"))
 # is busy, and blocks are as large as they get; with 1 each piece is a block.
 KILLER = """
 import array, os, random, signal, sys, time
-from canser.recordings.recording import RecordingInfo, RecordingWriter
+from canser.recording.recording import RecordingInfo, RecordingWriter
 
 STREAM = memoryview(array.array("Q", range(1 << 22)))
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 import canser
 import conftest  # noqa: F401 - Hypothesis' settings
-from canser._refusals import Refusals
-from canser.frames import FrameArray
+from canser._frames import FrameArray
+from canser.codec.refusals import Refusals
 from reference import NO_TIME, Frame
 from samples import FRAMES, array, listed
 

@@ -3,11 +3,11 @@
 import pytest
 
 import canser
-from canser import report
-from canser.codec import Control, Stats
-from canser.frames import FrameArray
+from canser._frames import FrameArray
+from canser.analysis.ids import Tally
+from canser.codec.decoder import Control, Stats
+from canser.commands import _report as report
 from canser.simulation.traffic import vehicle
-from canser.tally import Tally
 from reference import NO_TIME, Frame
 from samples import EPOCH, MILLISECOND, SECOND, array, timed
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import shared  # noqa: F401 - Hypothesis' settings
-from canser.restarts import Clock
+from canser.timing.restarts import Clock
 from samples import MILLISECOND, SECOND
 
 HOUR = 3_600 * SECOND

@@ -7,10 +7,10 @@ import pytest
 
 import canser
 import canser.commands._sending
+from canser._frames import FrameArray
 from canser.commands._common import DataError
 from canser.commands._sending import Sender
 from canser.errors import PortGoneError, SendError, SendTimeoutError
-from canser.frames import FrameArray
 from canser.simulation.traffic import vehicle
 
 FRAMES = vehicle(0.2)

@@ -19,7 +19,7 @@ import pytest
 
 import canser
 from canser import adapters
-from canser.frames import FrameArray
+from canser._frames import FrameArray
 from canser.simulation.simulator import Simulator, SimulatorReport
 from canser.simulation.traffic import Damaged, damage, vehicle
 from device import descriptors

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 import canser
 import shared
-from canser.frames import FrameArray
+from canser._frames import FrameArray
+from canser.analysis.ids import Steps, Tally
 from canser.simulation.traffic import damage, vehicle
-from canser.tally import Steps, Tally
 from reference import NO_TIME, Frame
 from samples import FRAMES, MILLISECOND, SECOND, array, timed
 

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canser._binding import Line, Times, find_arrivals, find_lowest, find_ranked
+from canser._core.buffers import Times
+from canser._core.clock import Line, find_arrivals, find_lowest, find_ranked
 
 S = 1_000_000_000
 EPOCH = 1_790_000_000 * S

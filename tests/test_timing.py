@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import canser
-from canser.frames import FRAME_DTYPE, FrameArray
-from canser.live.timing import ClockEstimate, Stamper
+from canser._frames import FRAME_DTYPE, FrameArray
+from canser.timing.clocks import ClockEstimate, Stamper
 
 Times = npt.NDArray[np.int64]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from canser.frames import FRAME_DTYPE, FrameArray
+from canser._frames import FRAME_DTYPE, FrameArray
 from canser.simulation.traffic import damage, line_noise, vehicle
 from reference import ID_EXT_MAX, ID_MAX
 from samples import MILLISECOND, SECOND

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import canser
-from canser.formats.candump import Writer
-from canser.frames import FrameArray
-from canser.recordings.recording import RecordingInfo, RecordingWriter
+from canser._frames import FrameArray
+from canser.files.candump import Writer
+from canser.recording.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")

@@ -1,4 +1,4 @@
-"""The commands of `canser`, one module each.
+"""Private: the commands of `canser`, one module each.
 
 A command has `add(commands)`, which adds its parser with what it runs as `run`: a function
 of the arguments that returns the exit code.

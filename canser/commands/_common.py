@@ -8,9 +8,11 @@ from typing import Any, NoReturn
 
 from canser._output import standard_output
 from canser._progress import Progress
-from canser.codec import TS_UNITS, Decoder, protocols
-from canser.files import FORMATS, FrameFile, format_of
-from canser.judge import AUTO, ForeignFormatError, NoProtocolError, WrongProtocolError, is_auto
+from canser._protocols import TS_UNITS, protocols
+from canser.codec.decoder import Decoder
+from canser.errors import ForeignFormatError, NoProtocolError, WrongProtocolError
+from canser.files.frame_file import FORMATS, FrameFile, format_of
+from canser.files.judge import AUTO, is_auto
 
 __all__ = [
     "BAD_CALL",
@@ -163,8 +165,8 @@ def options_named() -> Iterator[None]:
     except WrongProtocolError as error:
         raise CallError(f"{error.what}; leave -p out, or accept it by --as-is") from None
     except ForeignFormatError as error:
-        if error.found.option:
-            raise CallError(f"{error.what}: read it with --from {error.found.option}") from None
+        if error.option:
+            raise CallError(f"{error.what}: read it with --from {error.option}") from None
         raise
 
 

@@ -5,7 +5,7 @@ import re
 from typing import Final
 
 from canser import adapters
-from canser.codec import TS_UNITS, protocols
+from canser._protocols import TS_UNITS, protocols
 from canser.commands._common import CallError, Parser, protocol_name
 from canser.commands._numbers import duration, whole
 from canser.errors import PortBusyError, PortDeniedError, PortNotFoundError

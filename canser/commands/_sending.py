@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from canser.codec import decode, encode
+from canser._frames import FrameArray, copy_records
+from canser.codec.decoder import decode, encode
 from canser.commands._common import DataError
 from canser.errors import PortError, SendError, SendTimeoutError
-from canser.frames import FrameArray, copy_records
 from canser.live.ports import Port
 
 __all__ = ["Sender"]

@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
+from canser._frames import FrameArray
+from canser.codec.doubt import LEAST_BYTES, is_doubtful
 from canser.commands._common import DataError, check_found, options_named
-from canser.doubt import LEAST_BYTES, is_doubtful
-from canser.files import FrameFile, format_of
-from canser.frames import FrameArray
-from canser.identify import identify
-from canser.judge import describe_fit
+from canser.files.fits import identify
+from canser.files.frame_file import FrameFile, format_of
+from canser.files.judge import describe_fit
 
 __all__ = ["TrafficFile"]
 

@@ -2,10 +2,10 @@
 
 import argparse
 
-from canser import report
 from canser._output import check_apart, whole_file
 from canser._progress import Progress
-from canser.codec import protocols
+from canser._protocols import protocols
+from canser.commands import _report as report
 from canser.commands._common import (
     GOOD,
     CallError,
@@ -17,9 +17,9 @@ from canser.commands._common import (
     say_remarks,
     source_arguments,
 )
-from canser.convert import convert
-from canser.files import FORMATS, RAW, format_of
-from canser.judge import AUTO
+from canser.files.conversion import convert
+from canser.files.frame_file import FORMATS, RAW, format_of
+from canser.files.judge import AUTO
 
 __all__ = ["add"]
 

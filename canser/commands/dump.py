@@ -4,8 +4,9 @@ import argparse
 
 import numpy as np
 
-from canser import report
+from canser._frames import FRAME_DTYPE, match
 from canser._output import standard_output
+from canser.commands import _report as report
 from canser.commands._common import (
     GOOD,
     CallError,
@@ -17,8 +18,7 @@ from canser.commands._common import (
     say_remarks,
     source_arguments,
 )
-from canser.formats.candump import Writer as CandumpWriter
-from canser.frames import FRAME_DTYPE, match
+from canser.files.candump import Writer as CandumpWriter
 
 __all__ = ["add"]
 

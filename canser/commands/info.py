@@ -6,9 +6,11 @@ import stat
 
 import numpy as np
 
-from canser import report
 from canser._progress import Progress
-from canser.codec import Control, protocols
+from canser._protocols import protocols
+from canser.analysis.ids import Tally
+from canser.codec.decoder import Control
+from canser.commands import _report as report
 from canser.commands._common import (
     GOOD,
     CallError,
@@ -22,9 +24,8 @@ from canser.commands._common import (
     show,
     source_arguments,
 )
-from canser.files import FrameFile
-from canser.identify import Fit, identify
-from canser.tally import Tally
+from canser.files.fits import Fit, identify
+from canser.files.frame_file import FrameFile
 
 __all__ = ["add"]
 

@@ -49,19 +49,20 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from canser import adapters, report
+from canser import adapters
+from canser._frames import FRAME_DTYPE, FrameArray, match
 from canser._signals import Stop, stop_on_signals
+from canser.commands import _report as report
 from canser.commands._common import BAD_DATA, GOOD, CallError, Commands, DataError, add_command
 from canser.commands._numbers import byte_count, duration, whole
 from canser.commands._port import open_port, port_arguments, staying_arguments
 from canser.commands._screen import PATIENCE_S, Lines, StatusLine, warnings_as_lines
 from canser.errors import PortError, StreamClosedError
-from canser.frames import FRAME_DTYPE, FrameArray, match
 from canser.live.meter import Meter
 from canser.live.ports import Port, host_clock
 from canser.live.ring import Gap
-from canser.recordings.recorder import MEMORY, Event, Recorder
-from canser.recordings.recording import RecordingInfo
+from canser.recording.recorder import MEMORY, Event, Recorder
+from canser.recording.recording import RecordingInfo
 
 __all__ = ["add"]
 

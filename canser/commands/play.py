@@ -5,8 +5,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from canser._refusals import Refusals
+from canser._frames import FrameArray
 from canser._signals import Stop, stop_on_signals
+from canser.codec.refusals import Refusals
 from canser.commands._common import (
     GOOD,
     CallError,
@@ -21,8 +22,7 @@ from canser.commands._port import open_port, port_arguments
 from canser.commands._sending import Sender
 from canser.commands._traffic import TrafficFile
 from canser.errors import CanserError
-from canser.files import FORMATS, FrameFile
-from canser.frames import FrameArray
+from canser.files.frame_file import FORMATS, FrameFile
 from canser.live.player import Played, play
 
 __all__ = ["add"]

@@ -4,7 +4,7 @@ import argparse
 
 from canser._output import check_apart, whole_file
 from canser.commands._common import GOOD, Commands, add_command, say
-from canser.recordings.recording import recover
+from canser.recording.recording import recover
 
 __all__ = ["add"]
 

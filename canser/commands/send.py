@@ -2,12 +2,12 @@
 
 import argparse
 
-from canser.codec import encode
+from canser._frames import copy_records
+from canser.codec.decoder import encode
 from canser.commands._common import GOOD, CallError, Commands, add_command, say
 from canser.commands._port import open_port, port_arguments
 from canser.commands._sending import Sender
-from canser.formats.candump import frames_of
-from canser.frames import copy_records
+from canser.files.candump import frames_of
 
 __all__ = ["add"]
 

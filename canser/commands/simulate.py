@@ -12,10 +12,12 @@ from typing import BinaryIO
 
 import numpy as np
 
-from canser._output import ReaderGoneError, check_apart, whole_file
-from canser._refusals import Refusals
+from canser._frames import FRAME_DTYPE, FrameArray
+from canser._output import check_apart, whole_file
+from canser._protocols import TS_UNITS, protocols
 from canser._signals import Stop, stop_on_signals
-from canser.codec import TS_UNITS, encode, protocols
+from canser.codec.decoder import encode
+from canser.codec.refusals import Refusals
 from canser.commands._common import (
     BAD_DATA,
     GOOD,
@@ -31,7 +33,7 @@ from canser.commands._common import (
 )
 from canser.commands._numbers import real, whole
 from canser.commands._traffic import TrafficFile
-from canser.frames import FRAME_DTYPE, FrameArray
+from canser.errors import ReaderGoneError
 from canser.simulation.simulator import PACES, Simulator, SimulatorReport
 from canser.simulation.traffic import vehicle
 

@@ -1,1 +1,1 @@
-"""Live ports: the line, the thread that drains it, frames with host times, sending."""
+"""Private: live ports: the line, the thread that drains it, frames with host times, sending."""

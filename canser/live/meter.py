@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canser.frames import FrameArray
+from canser._frames import FrameArray
 
 __all__ = ["Meter", "Rates", "bus_bits"]
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from canser.frames import NO_TIME, FrameArray, copy_records
+from canser._frames import NO_TIME, FrameArray, copy_records
 
 __all__ = ["Lateness", "Played", "play"]
 

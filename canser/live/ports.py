@@ -16,19 +16,20 @@ import numpy as np
 import numpy.typing as npt
 
 from canser import adapters
-from canser._binding import BytesLike, as_bytes, find_protocol, input_frames, output_frames
 from canser._checks import flag, real, text, whole
 from canser._checks import timeout as check_timeout
+from canser._core.buffers import BytesLike, as_bytes, input_frames, output_frames
+from canser._core.table import find_protocol
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_records
 from canser._guards import Uncopied
-from canser.adapters import Report
-from canser.codec import Control, Decoder, Stats, decode, encode
+from canser.adapters import AdapterReport
+from canser.codec.decoder import Control, Decoder, Stats, decode, encode
 from canser.errors import PortClosedError, PortError, SendError, SendTimeoutError
-from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_records
 from canser.live.line import Line, open_line
 from canser.live.link import NO_MORE, Link
 from canser.live.ring import Gap, Ring
 from canser.live.stream import LiveStream, Tap
-from canser.live.timing import ClockEstimate, Stamper
+from canser.timing.clocks import ClockEstimate, Stamper
 
 __all__ = ["Gap", "Port", "PortInfo", "list_ports", "open"]
 
@@ -363,7 +364,7 @@ class Port(Uncopied):
         return self._stream.stamper.clock
 
     @property
-    def status(self) -> Report | None:
+    def status(self) -> AdapterReport | None:
         """The last status that came from the adapter, None before the first."""
         return self._stream.status
 
@@ -481,7 +482,7 @@ class Port(Uncopied):
         self._greeting.data, self.bitrate = greeting, bitrate
         time.sleep(_SETTLE)
 
-    def request_status(self, *, timeout: float | None = 1.0) -> Report:
+    def request_status(self, *, timeout: float | None = 1.0) -> AdapterReport:
         """Ask the adapter for its status, and return the answer.
 
         Frames that come meanwhile are returned by the next reads. ValueError where the

@@ -8,13 +8,13 @@ from typing import Final
 import numpy as np
 
 from canser import adapters
-from canser.adapters import Report
-from canser.codec import Control, Decoder
-from canser.doubt import is_doubtful
+from canser._frames import FrameArray
+from canser.adapters import AdapterReport
+from canser.codec.decoder import Control, Decoder
+from canser.codec.doubt import is_doubtful
 from canser.errors import CanserWarning
-from canser.frames import FrameArray
 from canser.live.ring import Gap, Piece, Ring
-from canser.live.timing import Stamper
+from canser.timing.clocks import Stamper
 
 __all__ = ["LiveStream", "Tap"]
 
@@ -56,7 +56,7 @@ class LiveStream:
         self.decoder, self.stamper = decoder, stamper
         self.controls: deque[Control] = deque(maxlen=_KEPT)
         self.gaps: deque[Gap] = deque(maxlen=_KEPT)
-        self.status: Report | None = None  # the last one that came
+        self.status: AdapterReport | None = None  # the last one that came
         self.filled = 0  # frames in the room that was given last
         self._stamped = 0  # of these, those that have their times
         self._decoded = 0  # frames of the whole stream

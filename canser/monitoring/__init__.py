@@ -1,1 +1,1 @@
-"""The live table of a port by id: the model, the widgets, the program."""
+"""Private: the live table of a port by id: the model, the widgets, the program."""

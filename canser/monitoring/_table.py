@@ -15,7 +15,7 @@ from textual.scroll_view import ScrollView
 from textual.strip import Strip
 from textual.widget import Widget
 
-from canser.frames import NO_TIME
+from canser._frames import NO_TIME
 from canser.monitoring.livetable import ROW_DTYPE, RowArray
 
 __all__ = ["DESCENDING", "Heading", "Table"]

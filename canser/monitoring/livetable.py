@@ -7,8 +7,8 @@ from typing import Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, match, with_mask
-from canser.restarts import Clock
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, match, with_mask
+from canser.timing.restarts import Clock
 
 __all__ = ["COLUMNS", "ROW_DTYPE", "LiveTable", "RowArray", "choose", "exact", "ordered"]
 

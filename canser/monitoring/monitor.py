@@ -12,8 +12,8 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
 from textual.widgets import Footer, Input, Static
 
-from canser.codec import Stats
-from canser.frames import FRAME_DTYPE
+from canser._frames import FRAME_DTYPE
+from canser.codec.decoder import Stats
 from canser.live.meter import Meter, Rates
 from canser.live.ports import Port, host_clock
 from canser.monitoring._table import DESCENDING, Heading, Table

@@ -8,7 +8,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray
 
 __all__ = ["Row", "frames_of", "rows"]
 

@@ -14,13 +14,13 @@ import numpy.typing as npt
 from can.broadcastmanager import CyclicSendTaskABC, ThreadBasedCyclicSendTask
 from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 
-from canser._binding import find_protocol
 from canser._checks import timeout as check_timeout
 from canser._checks import whole
+from canser._core.table import find_protocol
+from canser._frames import NO_TIME, FrameArray, copy_records, flaw
 from canser._guards import Uncopied
-from canser.codec import protocols, tick_ns
+from canser._protocols import protocols, tick_ns
 from canser.errors import PortError, SendTimeoutError
-from canser.frames import NO_TIME, FrameArray, copy_records, flaw
 from canser.live import ports
 from canser.python_can._messages import Row, frames_of, rows
 

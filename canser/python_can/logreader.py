@@ -12,10 +12,10 @@ import numpy as np
 from can.io.generic import BinaryIOMessageReader
 from can.typechecking import StringPathLike
 
-from canser.captures import Blocks, Source
+from canser._frames import FRAME_DTYPE
 from canser.errors import CanserWarning
-from canser.frames import FRAME_DTYPE
-from canser.judge import AUTO
+from canser.files.captures import Blocks, Source
+from canser.files.judge import AUTO
 from canser.python_can._messages import rows
 
 __all__ = ["CaptureReader"]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canser.adapters import Report
-from canser.codec import decode, encode
-from canser.frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, refuse_mask
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, refuse_mask
+from canser.adapters import AdapterReport
+from canser.codec.decoder import decode, encode
 from canser.simulation._ahead import Ahead
 from canser.simulation.traffic import damage
 
@@ -243,7 +243,7 @@ class Outgoing:
         self.starved = False
         self.timed = timed
         self._begun = False  # the first frames have been looked at
-        self._config: Report | None = None
+        self._config: AdapterReport | None = None
         self._rest: tuple[FrameArray, _Times] | None = None  # of a block that was cut
         # What the block is made of, and when it is due.
         self._chunk = np.empty(0, FRAME_DTYPE), np.empty(0, np.int64)
@@ -271,7 +271,7 @@ class Outgoing:
         self._answers.append(memoryview(packet))
         self.answering += len(packet)
 
-    def configure(self, config: Report | None) -> None:
+    def configure(self, config: AdapterReport | None) -> None:
         """Send only frames that pass the filter, behind the frame that is going out."""
         self._config, self._renewing = config, True
 

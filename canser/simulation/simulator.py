@@ -18,13 +18,13 @@ import numpy as np
 from canser import adapters
 from canser._checks import flag, real, text, whole
 from canser._checks import timeout as check_timeout
+from canser._frames import FRAME_DTYPE, FrameArray, concat, copy_records
 from canser._guards import ReadOnlyDict, Uncopied
 from canser._named import named
 from canser._threads import start_thread
-from canser.adapters import Report
-from canser.codec import Decoder, encode
+from canser.adapters import AdapterReport
+from canser.codec.decoder import Decoder, encode
 from canser.errors import PortError
-from canser.frames import FRAME_DTYPE, FrameArray, concat, copy_records
 from canser.simulation._outgoing import Outgoing
 from canser.simulation._terminal import Link, Terminal
 
@@ -88,7 +88,7 @@ class SimulatorReport:
     bytes_received: int
     bytes_skipped: int  # of these, inside no packet
     controls: Mapping[str, int]  # packets from the host that are no frames, by their kind
-    configuration: Report | None  # the last one
+    configuration: AdapterReport | None  # the last one
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "controls", ReadOnlyDict(self.controls))
@@ -190,7 +190,7 @@ class Simulator(Uncopied):
         self._flushes = self._stalled = self._unplugs = 0
         self._frames_received = self._frames_echoed = 0
         self._controls: collections.Counter[str] = collections.Counter()
-        self._configuration: Report | None = None
+        self._configuration: AdapterReport | None = None
         self._received: collections.deque[FrameArray] = collections.deque()
         self._received_len = 0
         self._room = np.empty(4096, FRAME_DTYPE)
@@ -254,7 +254,7 @@ class Simulator(Uncopied):
         return kept[max(0, len(kept) - _RECEIVED_KEPT) :]
 
     @property
-    def configuration(self) -> Report | None:
+    def configuration(self) -> AdapterReport | None:
         """The last configuration that the host has sent."""
         return self._configuration
 

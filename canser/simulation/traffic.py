@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canser._binding import as_bytes
-from canser.frames import FRAME_DTYPE, FrameArray, concat
+from canser._core.buffers import as_bytes
+from canser._frames import FRAME_DTYPE, FrameArray, concat
 
 __all__ = ["Damaged", "damage", "line_noise", "vehicle"]
 

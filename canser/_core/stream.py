@@ -1,0 +1,239 @@
+"""One stream in C, and the stretches of it that other threads decode ahead."""
+
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+from weakref import ref
+
+import numpy as np
+import numpy.typing as npt
+
+from canser._core._lib import ffi, lib
+from canser._core.buffers import Offsets, Pointer, output_frames, output_offsets, raise_status
+from canser._core.table import REJECT_NAMES, Protocol, row_of
+from canser._frames import FRAME_DTYPE, FrameArray, copy_records
+
+# The bytes behind a packet's first one without which it is not taken.
+BEHIND: Final = int(lib.CANSER_BEHIND)
+
+# How many control packets C may leave before it must ask for room again.
+_CONTROL_CAP: Final = 1024
+_CONTROL_DTYPE: Final = np.dtype([("offset", "u8"), ("len", "u1"), ("bytes", "u1", (23,))])
+assert _CONTROL_DTYPE.itemsize == ffi.sizeof("canser_control")
+
+
+class Control(NamedTuple):
+    """A packet that is valid but is no CAN frame: its stream offset and its bytes."""
+
+    offset: int
+    data: bytes
+
+
+# A batch counted in words, and where in it the counts lie: frames, then control packets.
+_BATCH_WORDS: Final = ffi.sizeof("canser_batch") // ffi.sizeof("size_t")
+_FOUND_WORD: Final = ffi.offsetof("canser_batch", "frame_count") // ffi.sizeof("size_t")
+assert ffi.offsetof("canser_batch", "control_count") == (_FOUND_WORD + 1) * ffi.sizeof("size_t")
+assert _BATCH_WORDS == _FOUND_WORD + 2
+
+
+def _nothing() -> None:
+    """Stand in for a reference to no array."""
+
+
+class Stream:
+    """The state of one stream in C, with room for its control packets.
+
+    Without `keeps_controls` there is no such room: they are counted, not kept. Not safe for
+    two threads: its owner takes a lock.
+    """
+
+    def __init__(self, protocol: Protocol, tick_ns: int, *, keeps_controls: bool = True) -> None:
+        self.protocol = protocol
+        self._tick_ns = tick_ns
+        self._state = ffi.new("canser_decoder *")
+        self._stats = self._state.stats
+        # The batch and the bytes used, in one piece: what a call has found is read at
+        # once, for each read costs as much as the decoding of some frames.
+        self._memory = ffi.new("size_t[]", _BATCH_WORDS + 1)
+        self._batch = ffi.cast("canser_batch *", self._memory)
+        self._used = self._memory + _BATCH_WORDS
+        self._found = self._memory + _FOUND_WORD
+        if keeps_controls:
+            self._controls = np.empty(_CONTROL_CAP, _CONTROL_DTYPE)
+            self._batch.controls = self._controls_at = ffi.from_buffer(
+                "canser_control[]", self._controls
+            )
+            self._batch.control_cap = _CONTROL_CAP
+        # Where the last call's frames went, held by nobody here.
+        self._out: Callable[[], object] = _nothing
+        self._offsets: Callable[[], object] = _nothing
+        self._cap = self._offset_cap = 0
+        self.reset()
+
+    def aim(self, out: FrameArray, offsets: Offsets | None) -> None:
+        """Check the arrays that frames and offsets go to.
+
+        They are mostly those of last time. Then that takes a tenth of the time: what may
+        have become of them since is asked, and no pointer is made anew.
+        """
+        # A reference to an array that is gone gives None, which may be what is asked for.
+        if (
+            out is not None
+            and out is self._out()
+            and len(out) == self._cap
+            and out.flags.writeable
+            and (
+                not self._offset_cap
+                if offsets is None
+                else offsets is self._offsets()
+                and offsets.flags.writeable
+                and len(offsets) == self._offset_cap
+            )
+        ):
+            return
+        self.aim_at(output_frames(out), len(out), output_offsets(offsets, len(out)))
+        self._out, self._cap = ref(out), len(out)
+        if offsets is not None:
+            self._offsets, self._offset_cap = ref(offsets), len(offsets)
+
+    def aim_at(self, out: Pointer, cap: int, at: Pointer) -> None:
+        """Tell where frames and offsets go by pointers, which must stay good."""
+        batch = self._batch
+        batch.frames, batch.frame_cap, batch.offsets = out, cap, at
+        self._out = self._offsets = _nothing
+        self._offset_cap = 0
+
+    def reset(self) -> None:
+        """Start anew: counters zero, nothing held, the clock not started."""
+        lib.canser_decoder_init(self._state, row_of(self.protocol), self._tick_ns)
+
+    def feed(self, data: Pointer, data_len: int) -> list[int]:
+        """Decode bytes; return the frames and control packets found, and the bytes used.
+
+        Stops early where the room for frames or for control packets is full.
+        """
+        status = lib.canser_decoder_feed(self._state, data, data_len, self._batch, self._used)
+        if status:
+            raise_status(status)
+        found: list[int] = ffi.unpack(self._found, 3)
+        return found
+
+    def advance(self, data: Pointer, data_len: int, stop: int) -> int:
+        """Decode as `feed` does what starts before `stop`, hold nothing; return the frames."""
+        status = lib.canser_decoder_advance(
+            self._state, data, data_len, stop, self._batch, self._used
+        )
+        if status:
+            raise_status(status)
+        return int(self._batch.frame_count)
+
+    def join(self, chunk: "Chunk") -> bool:
+        """Go on over a chunk, if it starts where the stream stands; else return False."""
+        status = lib.canser_decoder_join(self._state, chunk.state, chunk.frames_at)
+        if status == lib.CANSER_APART:
+            return False
+        if status:
+            raise_status(status)
+        return True
+
+    def flush(self) -> int:
+        """End the stream; return the frames. Again while bytes are pending."""
+        status = lib.canser_decoder_flush(self._state, self._batch)
+        if status:
+            raise_status(status)
+        return int(self._batch.frame_count)
+
+    def controls(self) -> npt.NDArray[np.void] | None:
+        """Return a copy of the control packets of the last call, None for none."""
+        found = self._batch.control_count
+        return copy_records(self._controls[:found]) if found else None
+
+    @property
+    def position(self) -> int:
+        """The stream offset behind all bytes taken."""
+        return int(self._stats.bytes_in)
+
+    @property
+    def skipped(self) -> int:
+        """Bytes inside no packet."""
+        return int(self._stats.bytes_skipped)
+
+    @property
+    def pending(self) -> int:
+        """Bytes held."""
+        return int(self._state.carry_len)
+
+    def counters(self) -> dict[str, Any]:
+        """Return every field of `Stats` by name."""
+        stats = self._stats
+        values = {name: getattr(stats, name) for name, _ in ffi.typeof("canser_stats").fields}
+        values["rejects"] = dict(zip(REJECT_NAMES, stats.rejects, strict=True))
+        values["pending"] = self.pending
+        return values
+
+
+class Chunk:
+    """A stretch of a stream, decoded by a guess into room of its own.
+
+    `frames` has room for `cap` frames, `offsets` for as many if they are asked for.
+    For one thread at a time.
+    """
+
+    def __init__(self, protocol: Protocol, tick_ns: int, cap: int, *, offsets: bool) -> None:
+        self._protocol, self._tick_ns, self._most = protocol, tick_ns, cap
+        self.offsets = np.empty(cap, np.int64) if offsets else None
+        self._controls = np.empty(_CONTROL_CAP, _CONTROL_DTYPE)
+        self.state = ffi.new("canser_chunk *")
+        self._batch = ffi.new("canser_batch *")
+        self._take_room(np.empty(cap, FRAME_DTYPE))
+        if self.offsets is not None:
+            # The pointer in a struct holds nothing: the array is held here.
+            self._batch.offsets = ffi.from_buffer("int64_t[]", self.offsets)
+        self._batch.controls = ffi.from_buffer("canser_control[]", self._controls)
+        self._batch.control_cap = _CONTROL_CAP
+
+    def _take_room(self, room: FrameArray) -> None:
+        self.frames = room
+        self.frames_at = ffi.from_buffer("canser_frame[]", self.frames)
+        self._batch.frames, self._batch.frame_cap = self.frames_at, len(room)
+
+    def decode(self, data: Pointer, data_len: int, first: int, stop: int, offset: int) -> None:
+        """Decode what starts in data[first..stop); `offset` is the stream's at data[0]."""
+        row, tick_ns = row_of(self._protocol), self._tick_ns
+        status = lib.canser_chunk_decode(
+            self.state, row, tick_ns, data, data_len, first, stop, offset, self._batch
+        )
+        if status:
+            raise_status(status)
+
+    @property
+    def count(self) -> int:
+        """The frames in it."""
+        return int(self.state.frame_count)
+
+    def controls(self) -> npt.NDArray[np.void] | None:
+        """Return a copy of its control packets, None for none."""
+        found = self._batch.control_count
+        return copy_records(self._controls[:found]) if found else None
+
+    def deliver(self, out: Pointer, count: int, first: int = 0) -> None:
+        """Copy `count` frames of the joined chunk to `out`, with their times."""
+        lib.canser_chunk_deliver(self.state, self.frames_at, first, count, out)
+
+    def make_room(self) -> FrameArray:
+        """Return an array that should do for the next stretch, by what is in this one.
+
+        Where it does not, the stretch ends early.
+        """
+        return np.empty(min(self.count * 5 // 4 + 1024, self._most), FRAME_DTYPE)
+
+    def hand_over(self, room: FrameArray) -> FrameArray:
+        """Return the frames of the joined chunk, with their times, and take new room."""
+        frames = self.frames[: self.count]
+        self.deliver(self.frames_at, self.count)
+        self._take_room(room)
+        return frames
+
+
+def unpack_controls(rows: npt.NDArray[np.void]) -> list[Control]:
+    """Return control packets as Python values."""
+    return [Control(int(row["offset"]), row["bytes"][: row["len"]].tobytes()) for row in rows]

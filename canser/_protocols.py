@@ -1,0 +1,46 @@
+"""The protocols by name, and the units of a device's clock."""
+
+from typing import Final
+
+from canser._core.table import PROTOCOLS, Protocol, find_protocol
+
+__all__ = ["TS_UNITS", "Protocol", "protocol", "protocols", "tick_ns"]
+
+# Nanoseconds in one tick of a device's clock.
+TS_UNITS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+
+
+def protocols() -> tuple[str, ...]:
+    """Return the names of the protocols, in alphabetical order."""
+    return tuple(PROTOCOLS)
+
+
+def protocol(name: str) -> Protocol:
+    """Return what a protocol is and can.
+
+    Parameters
+    ----------
+    name : str
+        One of `protocols()`, or an accepted spelling, in any case.
+
+    Raises
+    ------
+    TypeError
+        For what is no string.
+    ValueError
+        For a name that is unknown; the message has those that are known.
+
+    Examples
+    --------
+    >>> canser.protocol("serial").has_clock
+    True
+    """
+    return find_protocol(name)
+
+
+def tick_ns(ts_unit: str) -> int:
+    """Return the nanoseconds of a device clock's unit, or raise ValueError."""
+    try:
+        return TS_UNITS[ts_unit]
+    except (KeyError, TypeError):
+        raise ValueError(f"unknown ts_unit {ts_unit!r}; have: {', '.join(TS_UNITS)}") from None

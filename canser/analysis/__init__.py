@@ -1,0 +1,1 @@
+"""Private: what frames say of a bus. `canser` has the public names."""

@@ -1,0 +1,481 @@
+"""Decoding and encoding without I/O: `Decoder` for a stream, `decode` and `encode` for a whole."""
+
+import operator
+import threading
+import warnings
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import overload
+
+import numpy as np
+import numpy.typing as npt
+
+from canser._core.buffers import (
+    BytesLike,
+    Offsets,
+    Pointer,
+    input_bytes,
+    input_frames,
+    output_frames,
+    output_offsets,
+    output_room,
+)
+from canser._core.packets import encode_into
+from canser._core.stream import Chunk, Control, Stream, unpack_controls
+from canser._core.table import find_protocol
+from canser._frames import FRAME_DTYPE, FrameArray
+from canser._guards import ReadOnlyDict, Uncopied
+from canser._protocols import tick_ns
+from canser.codec.doubt import is_doubtful
+from canser.codec.parallel import STRETCH, Ahead, limit_threads
+from canser.codec.sinks import FixedArray, GrowingArray, Sink
+from canser.errors import CanserWarning
+
+__all__ = ["Control", "Decoder", "Stats", "decode", "encode"]
+
+# A decoder keeps this many control packets that nobody has taken: 2 MiB, an
+# hour and more of pings ten times a second.
+_CONTROLS_KEPT = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class Stats:
+    """The counters of a stream, a snapshot.
+
+    Laws: `bytes_in == bytes_framed + bytes_control + bytes_skipped + pending`, and
+    the rejects add up to `bytes_skipped`. They depend on the bytes alone, not on
+    how the stream was cut into pieces.
+    """
+
+    bytes_in: int  # bytes taken
+    bytes_framed: int  # of these, inside frames
+    bytes_control: int  # inside control packets
+    bytes_skipped: int  # inside no packet
+    frames: int
+    controls: int  # packets that are valid but no CAN frames
+    resyncs: int  # unbroken runs of skipped bytes
+    rejects: Mapping[str, int]  # skipped bytes by the reason why no packet starts there
+    pending: int  # bytes held: the start of a packet that is not whole yet
+    ts_wraps: int  # steps of the device clock forward through zero
+    ts_backsteps: int  # steps of the device clock back: a restart, or false frames
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rejects", ReadOnlyDict(self.rejects))
+
+
+class Decoder(Uncopied):
+    """Decode one stream, piece by piece.
+
+    `protocol`: a name of `protocols()` or an accepted spelling. `ts_unit`: the unit
+    of the device's timestamps, "s", "ms", "us" or "ns"; the wire does not tell it,
+    and a protocol without a clock does not use it. ValueError for an unknown one.
+
+    Sans-I/O. It does not matter how the stream is cut. Two threads may share a
+    decoder: they wait for each other. C works without the GIL, so decoders in
+    several threads run in parallel. A decoder cannot be copied or pickled.
+    """
+
+    _keeps_controls = True  # for `take_controls`
+
+    def __init__(self, protocol: str, *, ts_unit: str = "ms") -> None:
+        self._protocol = find_protocol(protocol)
+        self._ts_unit = ts_unit
+        self._stream = Stream(self._protocol, tick_ns(ts_unit), keeps_controls=self._keeps_controls)
+        # Reentrant: `run_ahead` takes it step by step, also for those that hold it.
+        self._lock = threading.RLock()
+        self._controls: deque[npt.NDArray[np.void]] = deque()
+        self._controls_held = 0
+        self._controls_dropped = 0
+
+    def __repr__(self) -> str:
+        return f"Decoder({self.protocol!r}, ts_unit={self._ts_unit!r})"
+
+    @property
+    def protocol(self) -> str:
+        """The protocol's name."""
+        return self._protocol.name
+
+    def feed(self, data: BytesLike) -> FrameArray:
+        """Decode the next bytes; return the frames they complete.
+
+        `data`: any contiguous buffer of bytes, read in place. Returns a new array
+        of FRAME_DTYPE, shape (n,), that owns its memory. All of `data` is taken; a
+        packet that is not whole is held (`pending`). TypeError, BufferError for
+        data that is no contiguous buffer of bytes.
+        """
+        source = input_bytes(data)
+        with self._lock:
+            return self._collect(source, ends=False)
+
+    def feed_into(
+        self, data: BytesLike, out: FrameArray, offsets: Offsets | None = None
+    ) -> tuple[int, int]:
+        """Decode the next bytes into `out`; allocate nothing.
+
+        `data`: any contiguous buffer of bytes, read in place. `out`: array of
+        FRAME_DTYPE, shape (n,), n >= 1, contiguous. `offsets`: array of int64 or
+        uint64, at least as long: the position of each frame's first byte in the
+        stream. Returns `(used, count)`: the bytes taken, and the frames now in
+        `out[:count]`. When `out` is full, `used` may be less than the length of
+        `data`: call again with `data[used:]`. The rest of `out` stays as it was.
+
+        TypeError for a wrong type or dtype; ValueError for wrong shape, room,
+        alignment, or memory that overlaps; BufferError for what is read-only or
+        not contiguous. After an error nothing was taken.
+        """
+        source = data if type(data) is bytes else input_bytes(data)
+        stream = self._stream
+        with self._lock:
+            stream.aim(out, offsets)
+            count, controls, used = stream.feed(source, len(source))
+            if controls:
+                return self._feed_on(input_bytes(data), out, offsets, used, count)
+        return used, count
+
+    def flush(self) -> FrameArray:
+        """End the stream: scan what is held; return the last frames.
+
+        A candidate that lacks bytes counts as skipped (reject "cut"). Returns a new
+        array of FRAME_DTYPE. Feeding may go on afterwards, as after a gap: counters,
+        offsets and clock go on.
+        """
+        with self._lock:
+            return self._collect(input_bytes(b""), ends=True)
+
+    def flush_into(self, out: FrameArray, offsets: Offsets | None = None) -> int:
+        """End the stream as `flush` does, into `out`; return the number of frames.
+
+        Call again while `pending` is not 0: `out` was full. `out`, `offsets` and
+        errors as in `feed_into`.
+        """
+        with self._lock:
+            self._stream.aim(out, offsets)
+            # The bytes held are fewer than the room for control packets.
+            count = self._stream.flush()
+            self._keep_controls()
+        return count
+
+    def reset(self) -> None:
+        """Forget everything: counters zero, nothing held, no control packets."""
+        with self._lock:
+            self._stream.reset()
+            self._controls.clear()
+            self._controls_held = self._controls_dropped = 0
+
+    @property
+    def stats(self) -> Stats:
+        """The counters as they are now."""
+        with self._lock:
+            return Stats(**self._stream.counters())
+
+    @property
+    def position(self) -> int:
+        """The stream offset behind all bytes taken."""
+        return self._stream.position
+
+    @property
+    def skipped(self) -> int:
+        """Bytes inside no packet so far: `stats.bytes_skipped`, without the rest."""
+        return self._stream.skipped
+
+    @property
+    def pending(self) -> int:
+        """Bytes held: the start of a packet that is not whole yet."""
+        return self._stream.pending
+
+    def take_controls(self) -> list[Control]:
+        """Return the control packets since the last call, oldest first: offset and bytes.
+
+        `Stats.controls` counts them all. Of those that nobody takes, the newest 65,536
+        are kept, and `controls_dropped` counts the others.
+        """
+        with self._lock:
+            batches = list(self._controls)
+            self._controls.clear()
+            self._controls_held = 0
+        return [control for rows in batches for control in unpack_controls(rows)]
+
+    @property
+    def controls_dropped(self) -> int:
+        """Control packets that were not taken in time, and are counted only."""
+        return self._controls_dropped
+
+    def _feed_on(
+        self, source: Pointer, out: FrameArray, offsets: Offsets | None, used: int, count: int
+    ) -> tuple[int, int]:
+        """Go on after control packets, whose room may have been full; the lock is held."""
+        while self._keep_controls() and used < len(source) and count < len(out):
+            self._stream.aim_at(*output_room(out, count, offsets))
+            more_count, _, more_used = self._stream.feed(source + used, len(source) - used)
+            used += more_used
+            count += more_count
+        return used, count
+
+    def _keep_controls(self, chunk: Chunk | None = None) -> bool:
+        """Keep what the last call, or a chunk, has found; True if there is anything."""
+        rows = (chunk or self._stream).controls()
+        if rows is None:
+            return False
+        self._controls.append(rows)
+        self._controls_held += len(rows)
+        # One by one, so that it does not matter how the stream was cut.
+        while (excess := self._controls_held - _CONTROLS_KEPT) > 0:
+            oldest = self._controls.popleft()
+            if excess < len(oldest):
+                self._controls.appendleft(oldest[excess:])
+            dropped = min(excess, len(oldest))
+            self._controls_held -= dropped
+            self._controls_dropped += dropped
+        return True
+
+    def make_chunk(self, offsets: bool) -> Chunk:
+        """Return room for any stretch that a helper decodes; for this package's own use."""
+        most = STRETCH // self._protocol.frame_min + 1
+        return Chunk(self._protocol, tick_ns(self._ts_unit), most, offsets=offsets)
+
+    def _collect(self, source: Pointer, *, ends: bool, threads: int = 1) -> FrameArray:
+        """Decode all of `source` into a new array, of just the size; the lock is held."""
+        sink = GrowingArray(self.make_chunk, self._stream, len(source))
+        self._run(source, sink, ends=ends, threads=threads)
+        return sink.result()
+
+    def _fill(
+        self, source: Pointer, out: FrameArray, offsets: Offsets | None, threads: int
+    ) -> tuple[int, int]:
+        """Decode all of `source` and its end into `out`; the arrays are checked.
+
+        Returns the frames that are there, and those that it needs room for.
+        """
+        sink = FixedArray(self.make_chunk, out, offsets)
+        with self._lock:
+            self._run(source, sink, ends=True, threads=threads)
+        return min(sink.count, len(out)), sink.count
+
+    def _run(self, source: Pointer, sink: Sink, *, ends: bool, threads: int = 1) -> None:
+        """Decode all of `source` into a sink; the lock is held."""
+        used = 0
+        if threads > 1:
+            start = self._stream.position
+            for _ in self.run_ahead(source, sink, threads):
+                pass
+            used = self._stream.position - start
+        while used < len(source):
+            self._stream.aim_at(*sink.room())
+            count, _, more = self._stream.feed(source + used, len(source) - used)
+            self._keep_controls()
+            used += more
+            sink.wrote(count)
+        while ends and self._stream.pending:
+            self._stream.aim_at(*sink.room())
+            count = self._stream.flush()
+            self._keep_controls()
+            sink.wrote(count)
+
+    def run_ahead(self, source: Pointer, sink: Sink, threads: int) -> Iterator[None]:
+        """Decode all of `source` but its last bytes by several threads, into a sink.
+
+        For this package's own use, and for a stream that holds nothing. Yields whenever the
+        sink may be emptied; the lock is not held then. RuntimeError if somebody else has
+        fed or reset the decoder meanwhile: its stream would not be that of `source` any more.
+        """
+        stream, start, source_len = self._stream, self._stream.position, len(source)
+        stretch, expected = start, start
+        with Ahead(stream, source, source_len, sink.chunk, threads) as ahead:
+            stretches = iter(ahead)
+            while True:
+                with self._lock:
+                    if stream.position != expected or stream.pending:
+                        raise RuntimeError(
+                            "the decoder was fed or reset while its blocks were being decoded; "
+                            "use a Decoder of its own"
+                        )
+                    if expected >= stretch:
+                        item = next(stretches, None)
+                        if item is None:
+                            return
+                        if isinstance(item, Chunk):
+                            self._keep_controls(item)
+                            ahead.deliver(sink.place(item))
+                        else:
+                            stretch = item
+                    if expected < stretch:
+                        done = expected - start
+                        stream.aim_at(*sink.room())
+                        count = stream.advance(source + done, source_len - done, stretch - expected)
+                        self._keep_controls()
+                        sink.wrote(count)
+                    expected = stream.position
+                yield
+
+
+class _OneShot(Decoder):
+    """A decoder of one whole buffer: it counts control packets, and keeps none."""
+
+    _keeps_controls = False
+
+
+def decode(
+    data: BytesLike,
+    protocol: str,
+    *,
+    ts_unit: str = "ms",
+    out: FrameArray | None = None,
+    offsets: Offsets | None = None,
+    threads: int = 1,
+    as_is: bool = False,
+) -> FrameArray:
+    """Decode a whole buffer, to its end.
+
+    `data`: any contiguous buffer of bytes (bytes, bytearray, memoryview, mmap,
+    numpy), read in place. Returns the frames, FRAME_DTYPE, shape (n,): a new array,
+    or `out[:n]` where `out` is given. `offsets`: array of int64 or uint64, filled
+    with the position of each frame's first byte. `ts_unit` as for `Decoder`. `threads`:
+    how many may work on it, of which one for each core are used, and 16 at most; the result
+    is the same for any number.
+
+    A CanserWarning tells where so many bytes lie in no packet that the protocol is not theirs,
+    as `blocks` describes it; `as_is` leaves it out.
+
+    ValueError if `out` or `offsets` is too small, with the number that is needed;
+    other errors as for `Decoder.feed_into`. For the counters use a `Decoder`.
+    """
+    threads = check_threads(threads)
+    decoder = _OneShot(protocol, ts_unit=ts_unit)
+    frames = decode_with(decoder, data, out=out, offsets=offsets, threads=threads)
+    if not as_is and is_doubtful(decoder.protocol, decoder.position, decoder.skipped):
+        warnings.warn(
+            f"{decoder.skipped / decoder.position:.0%} of the {decoder.position:,} bytes are in no "
+            f"{decoder.protocol} packet; canser.identify tells which protocol fits, and "
+            "as_is=True accepts them",
+            CanserWarning,
+            stacklevel=2,
+        )
+    return frames
+
+
+def decode_with(
+    decoder: Decoder,
+    data: BytesLike,
+    *,
+    out: FrameArray | None = None,
+    offsets: Offsets | None = None,
+    threads: int = 1,
+) -> FrameArray:
+    """Decode a whole buffer by a new decoder, as `decode` does, without its warning."""
+    source = input_bytes(data)
+    if out is not None:
+        output_frames(out)
+        output_offsets(offsets, len(out))
+        room, name = out, "out"
+    elif offsets is not None:
+        output_offsets(offsets, 0)
+        room, name = np.empty(len(offsets), FRAME_DTYPE), "offsets"
+    else:
+        return decoder._collect(source, ends=True, threads=threads)
+    count, needed = decoder._fill(source, room, offsets, threads)
+    _check_room(name, len(room), needed)
+    if out is not None:
+        return out[:count]
+    # What is too much is given back: no other object refers to the array.
+    room.resize(count, refcheck=False)
+    return room
+
+
+def decode_pieces(
+    decoder: Decoder, pieces: Iterable[BytesLike], total: int, offsets: Offsets | None
+) -> FrameArray:
+    """Decode bytes that come in pieces, `total` in all, to their end, by a new decoder.
+
+    Each piece is read before the next one is asked for. The result and the errors are those of
+    `decode_with` for all bytes at once.
+    """
+    sink: FixedArray | GrowingArray
+    if offsets is None:
+        sink = GrowingArray(decoder.make_chunk, decoder._stream, total)
+    else:
+        output_offsets(offsets, 0)
+        room = np.empty(len(offsets), FRAME_DTYPE)
+        sink = FixedArray(decoder.make_chunk, room, offsets)
+    with decoder._lock:
+        for piece in pieces:
+            decoder._run(input_bytes(piece), sink, ends=False)
+        decoder._run(input_bytes(b""), sink, ends=True)
+    if isinstance(sink, GrowingArray):
+        return sink.result()
+    _check_room("offsets", len(room), sink.count)
+    room.resize(sink.count, refcheck=False)
+    return room
+
+
+def _check_room(name: str, room: int, needed: int) -> None:
+    if needed > room:
+        raise ValueError(
+            f"{name} has room for {room} frames, but the data holds {needed}; "
+            f"make room for at least {needed}"
+        )
+
+
+@overload
+def encode(frames: FrameArray, protocol: str, *, ts_unit: str = "ms") -> bytes: ...
+@overload
+def encode(
+    frames: FrameArray, protocol: str, *, ts_unit: str = "ms", out: npt.NDArray[np.uint8]
+) -> npt.NDArray[np.uint8]: ...
+def encode(
+    frames: FrameArray,
+    protocol: str,
+    *,
+    ts_unit: str = "ms",
+    out: npt.NDArray[np.uint8] | None = None,
+) -> bytes | npt.NDArray[np.uint8]:
+    """Encode frames as an adapter sends them, one packet behind the other.
+
+    `frames`: array of FRAME_DTYPE, shape (n,), contiguous. Returns the bytes; or
+    `out[:n]` where `out`, an array of uint8, is given (20 bytes a frame are always
+    enough; what lies past the n bytes may be written over).
+
+    Data past the dlc and the data of remote frames are not sent. A protocol with a clock
+    sends `ts` in ticks of `ts_unit`, rounded down, modulo 2**32 as a device's counter
+    wraps; the others send no time.
+
+    ValueError for a frame that the format cannot carry, with its index and why: an
+    id over the limit of its kind, a dlc over 8, extended frames in `cantalope`,
+    error frames in `seeed` and `cantalope`, an unknown time (NaT) in `serial`; and
+    for an `out` that is too small.
+    """
+    row = find_protocol(protocol)
+    unit = tick_ns(ts_unit)
+    if out is not None:
+        return out[: encode_into(row, unit, frames, out)]
+    input_frames(frames)  # before its length is asked for
+    room = np.empty(len(frames) * row.frame_max, np.uint8)
+    return room[: encode_into(row, unit, frames, room)].tobytes()
+
+
+def encode_blocks(
+    blocks: Iterable[FrameArray], protocol: str, *, ts_unit: str = "ms"
+) -> Iterator[npt.NDArray[np.uint8]]:
+    """Encode one array of frames after the other, as `encode` does.
+
+    Yields the bytes of each as an array of uint8 that is good until the next one. A
+    frame that the format cannot carry is named by its index over all arrays.
+    """
+    row = find_protocol(protocol)
+    unit = tick_ns(ts_unit)
+    room = np.empty(0, np.uint8)
+    first = 0
+    for frames in blocks:
+        needed = len(frames) * row.frame_max
+        if len(room) < needed:
+            room = np.empty(needed, np.uint8)
+        yield room[: encode_into(row, unit, frames, room, first=first)]
+        first += len(frames)
+
+
+def check_threads(threads: int) -> int:
+    """Return how many of these threads are of use, or raise TypeError or ValueError."""
+    number = operator.index(threads)
+    if number < 1:
+        raise ValueError(f"threads is {number}; it must be 1 or more")
+    return limit_threads(number)

@@ -1,0 +1,233 @@
+"""Threads that decode ahead of a stream: from a guess, to be joined when it comes there.
+
+The calling thread decodes, straight to where the frames are wanted. Meanwhile each
+helper takes a stretch some way ahead, guesses where its first packet starts, and
+decodes into room of its own. When the stream comes there, the stretch is joined, if it
+starts where the stream stands: then it is right, and that takes as long for many frames
+as for few. If not, it is thrown away, and the calling thread decodes it like any other.
+"""
+
+import os
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Self
+
+from canser._core.buffers import Pointer
+from canser._core.stream import BEHIND, Chunk, Stream
+
+__all__ = ["STRETCH", "Ahead", "count_cores", "limit_threads"]
+
+# Bytes that a helper takes at a time: long against what that costs in Python, short
+# against a cache.
+STRETCH = 1 << 20
+
+# Towards the end the helpers take less, so that all end together; this at least.
+_STRETCH_LEAST = 1 << 16
+
+# So many lengths of its stretch a helper stays ahead: when it is done, the caller is not
+# yet there.
+_LEAD = 2
+
+# No more threads than this, whatever is asked for: a stretch takes a helper 100 to 250 us and
+# the calling thread, which joins it, 20 to 40 us in Python. More helpers would only wait.
+_THREADS_MOST = 16
+
+# After a wrong guess the helpers rest for 1, 4, 16 ... so many stretches: input on which
+# no guess is right takes hardly longer than by one thread.
+_REST_MOST = 64
+
+
+def count_cores() -> int:
+    """Return how many cores this process may use."""
+    if sys.version_info >= (3, 13):
+        return os.process_cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def limit_threads(threads: int) -> int:
+    """Return how many of these threads are of use: at most one for each core, and 16."""
+    return 1 if threads == 1 else min(threads, count_cores(), _THREADS_MOST)
+
+
+class _Claim:
+    """A stretch that a helper has taken, and what became of it."""
+
+    def __init__(self, first: int, stop: int, chunk: Chunk) -> None:
+        self.first, self.stop, self.chunk = first, stop, chunk
+        self.decoded = False
+        self.decided = False
+        self.deliver: Callable[[], None] | None = None
+
+    def decode(self, data: Pointer, data_len: int, start: int) -> None:
+        """Decode it; `start` is the stream offset of the data."""
+        self.chunk.decode(data, data_len, self.first - start, self.stop - start, start)
+
+
+class Ahead:
+    """Helpers that decode `data` ahead of a stream that stands at its begin, holding nothing.
+
+    Iterate over it: each item is a stream offset, and the caller must decode from where
+    the stream stands up to there, or a chunk that was joined to the stream, and the
+    caller must say by `deliver` what makes its frames good. It ends before the last bytes,
+    where a packet may not be whole. A context manager; when it is left, all is delivered.
+    Where the system starts no more threads, those that run do the work, or the caller alone.
+    """
+
+    def __init__(
+        self,
+        stream: Stream,
+        data: Pointer,
+        data_len: int,
+        make_chunk: Callable[[], Chunk],
+        threads: int,
+    ) -> None:
+        self._stream, self._make_chunk = stream, make_chunk
+        self._data, self._data_len, self._start = data, data_len, stream.position
+        self._end = self._start + data_len - BEHIND
+        self._threads = threads
+        self._changed = threading.Condition()
+        self._claims: deque[_Claim] = deque()
+        self._joined: _Claim | None = None
+        # The caller decodes what lies between these, and no helper takes it.
+        self._from = self._stop = stream.position
+        self._rest = 0  # stretches to rest after the last wrong guess
+        self._resting_to = 0
+        self._closed = False
+        self._failure: BaseException | None = None
+        self._helpers = [
+            threading.Thread(target=self._help, name="canser", daemon=True)
+            for _ in range(min(threads - 1, data_len // _STRETCH_LEAST))
+        ]
+
+    def __enter__(self) -> Self:
+        started = 0
+        try:
+            for helper in self._helpers:
+                helper.start()
+                started += 1
+        except RuntimeError:  # "can't start new thread": the system has no more
+            del self._helpers[started:]
+            self._threads = started + 1
+        except BaseException:
+            self._close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._close()
+        if self._failure is not None:
+            try:
+                raise self._failure
+            finally:
+                # Its frames hold this, and all the room: no cycle for the collector.
+                self._failure = None
+
+    def _close(self) -> None:
+        # An interpreter that ends has stopped the helpers wherever they were.
+        if sys.is_finalizing():
+            return
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        for helper in self._helpers:
+            # Who collects an iterator that was dropped may be a helper.
+            if helper.is_alive() and helper is not threading.current_thread():
+                helper.join()
+
+    def __iter__(self) -> Iterator[int | Chunk]:
+        while (position := self._stream.position) < self._end and self._failure is None:
+            with self._changed:
+                claim = self._claims[0] if self._claims else None
+                if claim is None or position < claim.first:
+                    stop = min(position + STRETCH, claim.first if claim else self._end)
+                    self._from, self._stop = position, stop
+                    self._changed.notify_all()
+                else:
+                    while not claim.decoded:
+                        self._changed.wait()
+                    self._claims.popleft()
+                    self._from = self._stop = claim.stop
+            if claim is None or position < claim.first:
+                yield stop
+            elif self._stream.join(claim.chunk):
+                self._rest //= 4
+                self._joined = claim
+                yield claim.chunk
+            else:
+                self._rest = min(4 * self._rest or 1, _REST_MOST)
+                self._resting_to = position + self._rest * STRETCH
+                self._decide(claim, None)
+
+    def deliver(self, copy: Callable[[], None]) -> None:
+        """Let the helper do `copy` for the chunk that was joined last; it may take a while."""
+        assert self._joined is not None
+        self._decide(self._joined, copy)
+
+    def _decide(self, claim: _Claim, deliver: Callable[[], None] | None) -> None:
+        with self._changed:
+            claim.deliver, claim.decided = deliver, True
+            self._changed.notify_all()
+
+    def _claim(self, chunk: Chunk, *, wait: bool) -> _Claim | None:
+        """Take a stretch so far ahead that the caller comes there when it is decoded."""
+        with self._changed:
+            while not self._closed:
+                left = self._end - self._from
+                length = min(STRETCH, max(left // (self._threads + 2), _STRETCH_LEAST))
+                # The caller leaps over what others have taken.
+                taken = sum(claim.stop - claim.first for claim in self._claims)
+                first = max(self._from + taken + _LEAD * length, self._stop)
+                if self._claims:
+                    first = max(first, self._claims[-1].stop)
+                if first + length > self._end:
+                    return None
+                if first >= self._resting_to:
+                    claim = _Claim(first, first + length, chunk)
+                    self._claims.append(claim)
+                    return claim
+                if not wait:
+                    return None
+                self._changed.wait()
+        return None
+
+    def _help(self) -> None:
+        mine: deque[_Claim] = deque()
+        try:
+            spare = [self._make_chunk(), self._make_chunk()]
+            while True:
+                claim = self._claim(spare[-1], wait=not mine) if spare else None
+                if claim is not None:
+                    spare.pop()
+                    mine.append(claim)
+                    claim.decode(self._data, self._data_len, self._start)
+                    with self._changed:
+                        claim.decoded = True
+                        self._changed.notify_all()
+                elif not mine:
+                    return
+                # With no room left, or nothing to take, there is time to wait.
+                while mine and self._is_decided(mine[0], wait=claim is None or not spare):
+                    done = mine.popleft()
+                    if done.deliver is not None:
+                        done.deliver()
+                    spare.append(done.chunk)
+        except BaseException as failure:  # noqa: BLE001 - raised again by the caller's thread
+            with self._changed:
+                self._failure = failure
+                for claim in self._claims:
+                    claim.decoded = True
+                self._changed.notify_all()
+            # The caller may be waiting for what was joined before.
+            for claim in mine:
+                if self._is_decided(claim, wait=True) and claim.deliver is not None:
+                    claim.deliver()
+
+    def _is_decided(self, claim: _Claim, *, wait: bool) -> bool:
+        with self._changed:
+            while wait and not (claim.decided or self._closed):
+                self._changed.wait()
+            return claim.decided or self._closed

@@ -1,0 +1,131 @@
+"""The command `canser`: its parser, its signals, its exit codes."""
+
+import argparse
+import contextlib
+import signal
+from collections.abc import Iterator, Sequence
+from importlib.metadata import version
+from typing import NoReturn
+
+from canser._output import optional_messages
+from canser._protocols import protocols
+from canser.commands import ALL
+from canser.commands._common import (
+    BAD_CALL,
+    BAD_DATA,
+    GOOD,
+    CallError,
+    DataError,
+    Parser,
+    say,
+    show,
+)
+from canser.errors import (
+    CanserError,
+    PortBusyError,
+    PortDeniedError,
+    PortNotFoundError,
+    ReaderGoneError,
+    StreamClosedError,
+)
+
+__all__ = ["main"]
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        prog="canser",
+        description="Decode, encode, record and simulate the byte streams of serial CAN adapters.",
+        epilog="examples:\n"
+        "  canser info run.bin                          what is in it, in which protocol\n"
+        "  canser convert run.bin run.log -p seeed      raw bytes to a candump log\n"
+        "  canser convert run.log run.bin -p serial     and back\n"
+        "  canser dump run.bin -p seeed --filter 123:7FF | head\n"
+        "  canser log -c /dev/ttyUSB0 -p seeed run.pcapng   record a port\n"
+        "  canser monitor -c /dev/ttyUSB0 -p seeed      watch it\n"
+        "  canser simulate -p seeed                     simulate an adapter\n\n"
+        f"protocols: {', '.join(protocols())}\n"
+        "exit codes: 0 good, 1 the data is bad, 2 the call is wrong",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"canser {version('canser')}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    for command in ALL:
+        command.add(commands)
+
+    def show_help(_: argparse.Namespace) -> int:
+        # The help on standard output, for a reader or a pager, as git prints it. But no command
+        # was run: `canser $COMMAND` in a script must not pass for a success where it is empty.
+        show([parser.format_help().rstrip("\n")])
+        return BAD_CALL
+
+    parser.set_defaults(run=show_help)  # a command replaces it
+    return parser
+
+
+@contextlib.contextmanager
+def _terminated_cleanly() -> Iterator[None]:
+    """Let signals end the program as an exception does: half a file is not left behind."""
+
+    def stop(number: int, _: object) -> NoReturn:
+        raise SystemExit(128 + number)
+
+    before = {}
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)  # Windows has no SIGHUP; nohup ignores it
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            before[number] = signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code. What becomes of messages does not change it."""
+    with optional_messages():
+        return _run(argv)
+
+
+def _run(argv: Sequence[str] | None) -> int:
+    try:
+        args = _parser().parse_args(argv)
+        with _terminated_cleanly():
+            code: int = args.run(args)
+            return code
+    except ReaderGoneError:
+        return GOOD  # as in `canser dump ... | head`
+    except KeyboardInterrupt:
+        say("canser: interrupted")
+        return 130
+    except (
+        CallError,
+        StreamClosedError,
+        FileExistsError,
+        FileNotFoundError,
+        IsADirectoryError,
+        NotADirectoryError,
+        PermissionError,
+        PortBusyError,
+        PortDeniedError,
+        PortNotFoundError,
+    ) as error:
+        return _fail(BAD_CALL, error)
+    except (DataError, CanserError, ValueError, OSError) as error:
+        return _fail(BAD_DATA, error)
+    except RuntimeError as error:
+        if "start new thread" not in str(error):
+            raise
+        return _fail(BAD_DATA, CanserError(f"{error}: allow more with 'ulimit -u'"))
+
+
+def _fail(code: int, error: Exception) -> int:
+    if isinstance(error, OSError) and error.filename is not None:
+        text = f"{error.filename}: {error.strerror}"
+    else:
+        text = str(error)
+    # A name may have any character, and a message is one line.
+    line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    say(f"canser: {line}")
+    return code

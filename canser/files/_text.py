@@ -1,0 +1,190 @@
+"""Text columns of many frames at once, built as arrays of characters.
+
+A column is an array of uint8, shape (n, width), one row for each frame; a character
+that a row does not have is 0, and `join` leaves it out. This writes some millions
+of lines a second where one format() for each frame writes half a million.
+"""
+
+import re
+from collections.abc import Iterator
+from itertools import count
+from typing import BinaryIO, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, flaw
+from canser.errors import FormatError
+from canser.files._remarks import Unkept
+
+Column = npt.NDArray[np.uint8]
+
+_HEX: Final = np.frombuffer(b"0123456789ABCDEF", np.uint8)
+_SECOND: Final = 1_000_000_000
+
+# Those of ASCII: strip() by itself takes the blanks of all scripts.
+BLANKS: Final = " \t\r\n\v\f"
+
+# No frame's line is nearly so long, in bytes; what is, is no text.
+_LINE_MAX = 1 << 16
+
+# Frames that are parsed before they are handed on.
+_BLOCK = 1 << 14
+
+
+def join(row_count: int, *parts: bytes | Column) -> bytes:
+    """Return the lines made of the parts, constant text or columns, one behind the other."""
+    columns = [
+        np.broadcast_to(np.frombuffer(part, np.uint8), (row_count, len(part)))
+        if isinstance(part, bytes)
+        else part
+        for part in parts
+    ]
+    table = np.concatenate(columns, axis=1)
+    return bytes(table[table != 0].data)
+
+
+def hexadecimal(values: npt.NDArray[np.integer], digits: int) -> Column:
+    """Return numbers in upper-case hexadecimal, all digits."""
+    shifts = np.arange(4 * (digits - 1), -1, -4, dtype=np.uint32)
+    digits_of: Column = _HEX[(values[:, None].astype(np.uint32) >> shifts) & 0xF]
+    return digits_of
+
+
+def payload(frames: FrameArray) -> Column:
+    """Return the data up to the dlc in hexadecimal, nothing for remote frames."""
+    data = frames["data"]
+    text = np.empty((len(frames), 8, 2), np.uint8)
+    text[:, :, 0] = _HEX[data >> 4]
+    text[:, :, 1] = _HEX[data & 0xF]
+    text[np.arange(8) >= payload_len(frames)[:, None]] = 0
+    return text.reshape(-1, 16)
+
+
+def payload_len(frames: FrameArray) -> npt.NDArray[np.uint8]:
+    """Return how many bytes of data each frame has: none in a remote frame."""
+    return np.where(frames["rtr"], 0, np.minimum(frames["dlc"], 8)).astype(np.uint8)
+
+
+def decimal(values: npt.NDArray[np.integer], least: int = 1) -> Column:
+    """Return numbers, 0 or more, without leading zeros but at `least` so many digits."""
+    digits = max(least, len(str(int(values.max(initial=0)))))
+    powers = 10 ** np.arange(digits - 1, -1, -1, dtype=np.uint64)
+    wide = values[:, None].astype(np.uint64)
+    text = (wide // powers % 10 + ord("0")).astype(np.uint8)
+    leading = wide < powers
+    leading[:, digits - least :] = False
+    text[leading] = 0
+    return text
+
+
+def seconds(ts: npt.NDArray[np.int64], places: int) -> Column:
+    """Return nanoseconds as seconds with so many places, cut, with a sign where negative."""
+    negative = ts < 0
+    # The least int64 has no positive; callers have replaced NO_TIME.
+    size = np.abs(ts)
+    sign = np.where(negative, ord("-"), 0).astype(np.uint8)[:, None]
+    fraction = decimal(size % _SECOND // 10 ** (9 - places), least=places)
+    point = np.full((len(ts), 1), ord("."), np.uint8)
+    return np.concatenate([sign, decimal(size // _SECOND), point, fraction], axis=1)
+
+
+_SECONDS: Final = re.compile(
+    r"[ \t]*(?P<sign>[+-]?)(?P<whole>[0-9]+)(?:\.(?P<places>[0-9]*))?[ \t]*"
+)
+_ROUNDED: Final = re.compile(r"[ \t]*[+-]?(?:[0-9]+(?:\.[0-9]*)?[eE][+-]?[0-9]+|inf)[ \t]*")
+
+# 2**63 ns are 9,223,372,036 s.
+_WHOLE_DIGITS: Final = 10
+
+
+def parse_seconds(text: str) -> int:
+    """Return the nanoseconds of a number of seconds, exactly; NO_TIME for nan or nothing.
+
+    Digits past the ninth place are cut; numbers with an exponent, such as 1e9, are read as
+    floating point. ValueError for what is no number or is out of range.
+    """
+    found = _SECONDS.fullmatch(text)
+    if found:
+        sign, whole, places = found.groups(default="")
+        if len(whole) > _WHOLE_DIGITS and len(whole.lstrip("0")) > _WHOLE_DIGITS:
+            ts = 2**63
+        else:
+            # Both in one number: the last nine digits are the nanoseconds.
+            ts = int(whole[-_WHOLE_DIGITS:] + places[:9].ljust(9, "0"))
+        ts = -ts if sign == "-" else ts
+    elif text.strip(BLANKS).lower() in ("", "nan", "nat"):
+        return NO_TIME
+    elif _ROUNDED.fullmatch(text):
+        try:
+            ts = round(float(text) * _SECOND)
+        except OverflowError:  # inf
+            ts = 2**63
+    else:
+        raise ValueError(f"{text.strip()[:60]!r} is no time in seconds")
+    if not -(2**63) < ts < 2**63:
+        raise ValueError(f"the time {text.strip()[:60]} does not fit 64 bits of nanoseconds")
+    return ts
+
+
+# The fields of a record but for the padding of data: id ext rtr dlc err data ts.
+Row = tuple[int, bool, bool, int, bool, bytes, int]
+
+
+def rows_to_frames(rows: list[Row]) -> FrameArray:
+    """Return parsed rows as frames."""
+    frames = np.zeros(len(rows), FRAME_DTYPE)
+    if rows:
+        ids, exts, rtrs, dlcs, errs, data, ts = zip(*rows, strict=True)
+        frames["id"], frames["ext"], frames["rtr"] = ids, exts, rtrs
+        frames["dlc"], frames["err"], frames["ts"] = dlcs, errs, ts
+        padded = b"".join(one.ljust(8, b"\0") for one in data)
+        frames["data"] = np.frombuffer(padded, np.uint8).reshape(-1, 8)
+    return frames
+
+
+def check_row(row: Row) -> Row:
+    """Return a parsed row if it is a CAN frame, or raise ValueError."""
+    arbitration_id, ext, rtr, dlc, _, data, _ = row
+    found = flaw(arbitration_id, ext, dlc)
+    if found is not None:
+        raise ValueError(found)
+    if rtr and data:
+        raise ValueError(f"a remote frame has no data, but there are {len(data)} bytes")
+    if not rtr and len(data) != dlc:
+        raise ValueError(f"the dlc is {dlc}, but there are {len(data)} bytes of data")
+    return row
+
+
+def in_blocks(rows: Iterator[Row]) -> Iterator[FrameArray]:
+    """Yield rows as arrays of frames, some thousand each."""
+    block: list[Row] = []
+    for row in rows:
+        block.append(row)
+        if len(block) == _BLOCK:
+            yield rows_to_frames(block)
+            block.clear()
+    if block:
+        yield rows_to_frames(block)
+
+
+def lines(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[tuple[int, str]]:
+    """Yield the number and the text of each line that is not empty; ASCII or UTF-8.
+
+    NULs at the end of the file, which a power cut may leave, are counted in `unkept`.
+    """
+    for number in count(1):
+        raw = file.readline(_LINE_MAX)
+        if not raw:
+            return
+        if len(raw) == _LINE_MAX:
+            raise FormatError(f"{name}, line {number}: has no end; is it raw bytes?")
+        if not raw[0] and not raw.strip(b"\0"):  # so no line end: the file ends here
+            unkept.nuls = len(raw)
+            return
+        try:
+            text = raw.decode("utf-8-sig" if number == 1 else "utf-8").strip(BLANKS)
+        except UnicodeDecodeError:
+            raise FormatError(f"{name}, line {number}: this is no text; is it raw bytes?") from None
+        if text:
+            yield number, text

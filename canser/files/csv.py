@@ -1,0 +1,204 @@
+"""Comma-separated values with the columns of python-can's CSVWriter.
+
+    timestamp,arbitration_id,extended,remote,error,dlc,data
+    1631416514.717133,0xd2,0,0,0,8,AAD//xAAAAA=
+
+timestamp in seconds (nan where it is not known), arbitration_id in hexadecimal,
+flags 0 or 1, data in base64. Source: python-can, `can.io.csv`.
+
+Times are exact: six places, or nine where a frame has nanoseconds. Read by the
+names of the header, so columns may be in any order and others may be there: the
+reader tells which it does not read. python-can 2.0 and 2.1 wrote the header as
+`timestamp, arbitration id, extended, remote, error, dlc, data`.
+"""
+
+import base64
+import csv
+import re
+from collections.abc import Callable, Iterator
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+
+from canser._frames import NO_TIME, FrameArray
+from canser.errors import FormatError
+from canser.files import _text
+from canser.files._remarks import Tell, Unkept, tell_all
+
+COLUMNS: Final = ("timestamp", "arbitration_id", "extended", "remote", "error", "dlc", "data")
+
+# Columns for which a frame has no field; how many frames there are of each value is counted.
+_COUNTED: Final = ("channel", "direction")
+
+# More digits than an id or a dlc has, and few enough for a message.
+_HEXADECIMAL: Final = re.compile("(?:0[xX])?[0-9A-Fa-f]{1,16}")
+_WHOLE: Final = re.compile("-?[0-9]{1,16}")
+
+_FLAGS: Final = {"0": False, "1": True, "false": False, "true": True}
+
+_BASE64: Final = np.frombuffer(
+    b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/", np.uint8
+)
+
+
+class Writer:
+    """Write frames as rows under a header."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._file.write(",".join(COLUMNS).encode() + b"\n")
+
+    def write(self, frames: FrameArray) -> None:
+        """Append frames."""
+        unknown = frames["ts"] == NO_TIME
+        ts = np.where(unknown, 0, frames["ts"])
+        time = _text.seconds(ts, 9)
+        time[ts % 1000 == 0, -3:] = 0
+        time[unknown] = 0
+        time[unknown, :3] = np.frombuffer(b"nan", np.uint8)
+        flags = [(frames[name] + ord("0"))[:, None] for name in ("ext", "rtr", "err", "dlc")]
+        ext, rtr, err, dlc = (flag.astype(np.uint8) for flag in flags)
+        digits = _text.hexadecimal(frames["id"], 8)
+        digits += (digits > ord("9")).astype(np.uint8) * 32  # lower case, as hex() writes
+        leading = np.cumsum(digits != ord("0"), axis=1) == 0
+        leading[:, -1] = False
+        digits[leading] = 0
+        line = _text.join(
+            len(frames),
+            time,
+            b",0x",
+            digits,
+            b",",
+            ext,
+            b",",
+            rtr,
+            b",",
+            err,
+            b",",
+            dlc,
+            b",",
+            _base64(frames),
+            b"\n",
+        )
+        self._file.write(line)
+
+    def finish(self) -> list[str]:
+        """Return what the file could not hold: it holds everything."""
+        return []
+
+
+def _base64(frames: FrameArray) -> _text.Column:
+    """Return the data up to the dlc in base64: 12 characters, padded by `=` and 0."""
+    length = _text.payload_len(frames)[:, None]
+    data = np.zeros((len(frames), 9), np.uint8)
+    data[:, :8] = np.where(np.arange(8) < length, frames["data"], 0)
+    groups = data.reshape(-1, 3, 3).astype(np.uint32)
+    bits = groups[:, :, 0] << 16 | groups[:, :, 1] << 8 | groups[:, :, 2]
+    text: _text.Column = _BASE64[bits[:, :, None] >> np.array([18, 12, 6, 0]) & 63].reshape(-1, 12)
+    place = np.arange(12)
+    text[place >= (length * 4 + 2) // 3] = ord("=")
+    text[place >= (length + 2) // 3 * 4] = 0
+    return text
+
+
+def read(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[FrameArray]:
+    """Yield the frames of a file, block by block.
+
+    `file`: open for reading bytes; `name`: what messages call it. `tell` is called at the end
+    with each remark on what the file says and the frames do not hold; without it a remark is a
+    CanserWarning. FormatError names the first line that is no frame, or the columns that are
+    missing.
+    """
+    unkept = Unkept()
+    yield from _text.in_blocks(_rows(file, name, unkept))
+    tell_all(unkept.remarks(), name, tell)
+
+
+def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[_text.Row]:
+    numbered = _text.lines(file, name, unkept)
+    try:
+        first, header = next(numbered)
+    except StopIteration:
+        return
+    try:
+        names = _names(header)
+    except (ValueError, csv.Error) as error:
+        raise FormatError(f"{name}, line {first}: {error}") from None
+    missing = [column for column in COLUMNS if column not in names]
+    if missing:
+        raise FormatError(
+            f"{name}: no column {', '.join(missing)}; the first line must name {','.join(COLUMNS)}"
+        )
+    places = [names.index(column) for column in COLUMNS]
+    channel, direction = (names.index(each) if each in names else None for each in _COUNTED)
+    unkept.columns = [each for each in names if each not in COLUMNS and each not in _COUNTED]
+    for number, text in numbered:
+        try:
+            fields = next(csv.reader([text], strict=True, skipinitialspace=True))
+            if len(fields) != len(names):
+                raise ValueError(f"{len(fields)} fields where the header has {len(names)}")
+            yield _text.check_row(_row([fields[place] for place in places]))
+        except (ValueError, csv.Error) as error:
+            raise FormatError(f"{name}, line {number}: {error}") from None
+        unkept.add(
+            None if channel is None else fields[channel],
+            None if direction is None else fields[direction],
+        )
+
+
+def _names(header: str) -> list[str]:
+    """Return the names of the columns."""
+    written = next(csv.reader([header], strict=True, skipinitialspace=True))
+    # python-can 2.0 and 2.1 wrote "arbitration id", and a blank behind each comma.
+    names = [each.strip(_text.BLANKS).replace(" ", "_") for each in written]
+    for each in (*COLUMNS, *_COUNTED):
+        if names.count(each) > 1:
+            raise ValueError(f"the column {each} is there {names.count(each)} times")
+    return names
+
+
+def _hexadecimal(text: str) -> int:
+    if not _HEXADECIMAL.fullmatch(text):
+        raise ValueError
+    return int(text, 16)
+
+
+def _whole(text: str) -> int:
+    if not _WHOLE.fullmatch(text):
+        raise ValueError
+    return int(text)
+
+
+def _flag(text: str) -> bool:
+    return _FLAGS[text.lower()]
+
+
+def _bytes(text: str) -> bytes:
+    data = base64.b64decode(text, validate=True)
+    # A last character with bits that are no part of a byte decodes to the same as another one.
+    if base64.b64encode(data).decode() != text:
+        raise ValueError
+    return data
+
+
+# How each column is read, and what it must be.
+_COLUMNS: Final[tuple[tuple[Callable[[str], Any], str], ...]] = (
+    (_text.parse_seconds, "a time in seconds"),
+    (_hexadecimal, "a hexadecimal number"),
+    (_flag, "0 or 1"),
+    (_flag, "0 or 1"),
+    (_flag, "0 or 1"),
+    (_whole, "a number"),
+    (_bytes, "base64"),
+)
+
+
+def _row(fields: list[str]) -> _text.Row:
+    values = []
+    for name, text, (parse, kind) in zip(COLUMNS, fields, _COLUMNS, strict=True):
+        try:
+            values.append(parse(text))
+        except (ValueError, KeyError):
+            raise ValueError(f"{name} is {text[:60]!r}; it must be {kind}") from None
+    ts, arbitration_id, ext, rtr, err, dlc, data = values
+    return arbitration_id, ext, rtr, dlc, err, data, ts

@@ -1,0 +1,1 @@
+"""Private: recordings of raw bytes with their times: written, read, repaired."""

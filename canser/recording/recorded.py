@@ -1,0 +1,174 @@
+"""The frames of a recording: its pieces decoded, with host times."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from canser._core.buffers import Offsets
+from canser._core.table import find_protocol
+from canser._frames import FRAME_DTYPE, FrameArray
+from canser.codec.decoder import Decoder
+from canser.errors import RecordingError
+from canser.recording.recording import Recording, RecordingInfo
+from canser.timing.clocks import Stamper
+
+__all__ = ["RecordedFrames"]
+
+# Frames get their times so many at a time: as few as make arrays that fit a cache, and that
+# the allocator keeps (fresh pages cost more than the times).
+_STAMPED = 4096
+
+# Pieces smaller than this are decoded together: a call costs as much as a copy of so many bytes.
+_SMALL = 1 << 14
+
+# The first bytes of the line that are kept.
+_HEAD_LEN = 1 << 16
+
+
+class RecordedFrames:
+    """Decode a recording into arrays that the caller makes.
+
+    `protocol`, `ts_unit`: what the recording says where they are None. `live`: frames are
+    handed on as the pieces come. RecordingError if the recording's protocol is unknown.
+    """
+
+    def __init__(
+        self, recording: Recording, protocol: str | None, ts_unit: str | None, *, live: bool
+    ) -> None:
+        self.info: RecordingInfo = recording.info
+        self._recording, self._live = recording, live
+        self.head = bytearray()  # the first bytes of the line, to tell what they are
+        try:
+            self.decoder = Decoder(
+                self.info.protocol if protocol is None else protocol,
+                ts_unit=self.info.ts_unit if ts_unit is None else ts_unit,
+            )
+        except ValueError as error:
+            raise RecordingError(f"the recording says {error}") from None
+        row = find_protocol(self.decoder.protocol)
+        self._stamper = Stamper(row.has_clock, self.info.byte_ns, row.frame_max)
+        self._gaps = self._bytes_lost = self._unknown = 0
+        # Of the bytes that are to be decoded next: sizes of pieces, and when they came.
+        self._arrivals: list[tuple[int, int]] = []
+        # The array that is being filled: with so many frames, so many of these with their time.
+        self._out: FrameArray = np.empty(0, FRAME_DTYPE)
+        self._offsets = np.empty(0, np.int64)
+        self._count = self._stamped = 0
+
+    @property
+    def bytes_done(self) -> int:
+        """How far in the file it has come."""
+        return self._recording.bytes_done
+
+    @property
+    def remarks(self) -> list[str]:
+        """What a caller should know, a line each."""
+        remarks = list(self._recording.remarks)
+        if self._gaps:
+            lost = f"{self._bytes_lost:,}"
+            if self._unknown:
+                times = "once" if self._unknown == 1 else f"{self._unknown:,} times"
+                lost += f" and {times} an unknown number"
+            remarks.append(f"gaps in the recording: {self._gaps:,}, bytes lost: {lost}")
+        if self._stamper.remark is not None:
+            remarks.append(self._stamper.remark)
+        return remarks
+
+    def run(
+        self, room: Callable[[], tuple[FrameArray, Offsets | None]]
+    ) -> Iterator[tuple[FrameArray, int]]:
+        """Yield arrays and how many frames are in each; `room` makes them, and their offsets."""
+        decoder = self.decoder
+        self._take(room)
+        for data, after_gap in self._joined():
+            if after_gap:
+                # Only what came before the gap is held: it will never be whole.
+                yield from self._flush(room)
+                self._stamp()
+                self._stamper.gap()
+            self._arrive()
+            done, size = 0, len(data)
+            while done < size:
+                count = self._count
+                used, more = decoder.feed_into(
+                    data[done:] if done else data, self._out[count:], self._offsets[count:]
+                )
+                done += used
+                self._count += more
+                if self._count == len(self._out):
+                    yield self._hand_over()
+                    self._take(room)
+            if self._count - self._stamped >= _STAMPED:
+                self._stamp()
+            if self._live and self._count:
+                yield self._hand_over()
+                self._take(room)
+        yield from self._flush(room)
+        if self._count:
+            yield self._hand_over()
+
+    def _joined(self) -> Iterator[tuple[memoryview | bytes, bool]]:
+        """Yield bytes to decode, small pieces as one, and whether there is a gap before them."""
+        small: list[memoryview] = []
+        size, after_gap = 0, False
+        for piece in self._recording:
+            large = len(piece.data) >= _SMALL
+            if small and (piece.gap or large or size >= _SMALL):
+                yield b"".join(small), after_gap
+                small, size, after_gap = [], 0, False
+            if piece.gap:
+                self._count_gap(piece.lost)
+            self._arrivals.append((len(piece.data), piece.arrival_ns))
+            if len(self.head) < _HEAD_LEN:
+                self.head += piece.data[: _HEAD_LEN - len(self.head)]
+            if large or self._live:
+                yield piece.data, piece.gap
+            else:
+                small.append(piece.data)
+                size += len(piece.data)
+                after_gap |= piece.gap
+        if small:
+            yield b"".join(small), after_gap
+
+    def _arrive(self) -> None:
+        """Tell when the bytes came that are to be decoded next."""
+        end = self.decoder.position
+        for size, ns in self._arrivals:
+            end += size
+            self._stamper.arrived(end, ns)
+        self._arrivals.clear()
+
+    def _flush(
+        self, room: Callable[[], tuple[FrameArray, Offsets | None]]
+    ) -> Iterator[tuple[FrameArray, int]]:
+        """Decode what is held to its end."""
+        while self.decoder.pending:
+            count = self._count
+            self._count += self.decoder.flush_into(self._out[count:], self._offsets[count:])
+            if self._count == len(self._out):
+                yield self._hand_over()
+                self._take(room)
+
+    def _take(self, room: Callable[[], tuple[FrameArray, Offsets | None]]) -> None:
+        self._out, offsets = room()
+        if offsets is not None:
+            self._offsets = offsets.view(np.int64)
+        elif len(self._offsets) < len(self._out):
+            self._offsets = np.empty(len(self._out), np.int64)
+        self._count = self._stamped = 0
+
+    def _hand_over(self) -> tuple[FrameArray, int]:
+        self._stamp()
+        return self._out, self._count
+
+    def _stamp(self) -> None:
+        """Give the frames that have none their time."""
+        new = slice(self._stamped, self._count)
+        end = self.decoder.position - self.decoder.pending
+        self._stamper.stamp(self._out[new], self._offsets[new], end)
+        self._stamped = self._count
+
+    def _count_gap(self, lost: int) -> None:
+        self._gaps += 1
+        self._bytes_lost += max(lost, 0)
+        self._unknown += lost < 0

@@ -1,1 +1,0 @@
-"""Recordings of raw bytes with their times: written, read, repaired."""

@@ -1,0 +1,426 @@
+"""Host times of frames: when their bytes came, and what the device's own clock says.
+
+Bytes come in pieces: one read of the port each, with the host's time behind it. So two
+things are known of a byte: its piece was there at that time, and the line needs a byte
+time for each byte that came behind it in the piece. That gives its arrival: never earlier
+than the truth as long as the line is no faster than `byte_ns` says, and late by as long
+as the adapter, the driver and the host kept the piece back. It is never put before the
+arrival of the piece before, so that arrivals never go backwards.
+
+A format without a clock has these times only: a frame's time is the arrival of its last byte.
+
+Where the device puts its own time into each frame, the host need not guess when a frame
+was on the bus, only what the device's clock stands at. With the arrival of a frame's first
+byte,
+
+    arrival - device time = offset of the clocks + drift + delay,    delay >= 0
+
+A delay is milliseconds as a rule, and seconds when the host was busy and bytes queued up;
+but in every second some frames come through at once. So the lower envelope is the
+estimate, and late frames do not matter to it:
+
+- Frames are gathered into *buckets* of a second. A bucket gives one *point*: its third
+  lowest difference (of equal ones the first counts as the lowest), because a false frame out of
+  noise may be lower than all true ones. Differences over a minute from the bucket's median are
+  false frames', and left out.
+- The *line* lies below the points of the last minutes. Its slope is the median of those between
+  points a quarter of the window apart: wherever the points jump, at most a third of these slopes
+  span the jump. Until there is half a minute of points, and as long as the slopes do not
+  agree, it is zero, or what it was before.
+- The points start over when half a minute of them lies 20 ms above the line: the device's clock
+  had stood still. And so they do at a *restart*: a bucket whose device times lie before those
+  of the bucket before, or more than a minute off the line.
+- To have an estimate after a few frames, the buckets of the first second are of 4 frames, then
+  of as many as there have been; and so again after a gap.
+
+The estimate that maps a frame is that of the buckets before its own. A frame keeps its
+arrival where the mapped time is impossible (10 ms after the arrival, or more), implausible
+(a minute before it; two seconds as long as the clock's rate is not known), or before the
+device times of the last bucket: false frames out of noise, and the first ones after a
+restart. No frame has a time after its arrival. All the frames mapped have times that never
+go backwards, in spite of new estimates: a time is held until the others have caught up.
+(One thing cannot be told: while bytes queue for seconds, a false frame that is ahead by less than
+the delay is believed, and holds those behind it.)
+
+The rate of the device's clock is the median of the last buckets' rates. If that is not
+about the host's own, the unit of its ticks is not what the caller believes, or it is no
+clock at all: all frames keep their arrivals, and `remark` says so.
+
+All arithmetic on times is int64, modulo 2**64 as device times are; floats hold small differences
+only (a float64 of epoch nanoseconds resolves 256 ns).
+"""
+
+from collections import deque
+from dataclasses import dataclass
+from itertools import chain, pairwise
+from statistics import median
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from canser._core.buffers import Times
+from canser._core.clock import Line, find_arrivals, find_lowest, find_ranked
+from canser._frames import FrameArray
+from canser._protocols import TS_UNITS
+
+__all__ = ["ClockEstimate", "Stamper"]
+
+_MS: Final = 1_000_000
+_SECOND: Final = 1_000 * _MS
+
+# Before all arrivals: the time of the piece before the first.
+_NEVER: Final = -(2**62)
+
+# How far a mapped time may lie behind the arrival, or a device time before those of the last
+# bucket, before it is taken for wrong: over what the least delay differs by from one second
+# to the next (some frame of a second hits a latency timer of 16 ms early), below most of what
+# bytes out of noise give.
+_TOLERANCE: Final = 10 * _MS
+
+# The longest that bytes may queue: 64 KiB in the kernel are 6 s of a busy line at 115,200
+# baud, and ten times that of a quiet one. As long as the rate of the clock is not known, a
+# clock that is too slow looks like a queue that grows: then no more than a tick of the
+# coarsest clock, and a second.
+_LONGEST_QUEUE: Final = 60 * _SECOND
+_LONGEST_QUEUE_UNPROVEN: Final = 2 * _SECOND
+
+_BUCKET_NS: Final = _SECOND
+_BUCKET_FRAMES: Final = 8  # at least; the third lowest of fewer is no low one
+_FIRST_FRAMES: Final = 4
+
+_WINDOW: Final = 300  # points: five minutes of a busy bus, in which crystals are steady
+_STUCK: Final = 30  # points in a row above the line: no queue lasts as long
+_STUCK_NS: Final = 20 * _MS
+
+# A slope needs a span: over 30 s minima that differ by 1 ms give 50 ppm, as much as a crystal is
+# off. It is believed if half of the slopes are within 200 ppm of it: with ticks of a second
+# they are not. The most is beyond what CAN itself bears between two nodes, 1.58 %.
+_DRIFT_SPAN: Final = 30 * _SECOND
+_DRIFT_POINTS: Final = 10
+_DRIFT_SPREAD: Final = 200e-6
+_DRIFT_MOST: Final = 20_000e-6
+
+_RATES: Final = 8
+_RATES_LEAST: Final = 3  # a median of three stands one jump
+# Between them jitter over a second, beyond them a wrong unit.
+_RATE_LEAST: Final = 0.8
+_RATE_MOST: Final = 1.25
+
+
+@dataclass(frozen=True, slots=True)
+class ClockEstimate:
+    """What is known of the device's clock, as compared to the host's.
+
+    `offset_ns`: host time less device time, now. `drift_ppm`: by how much the device's
+    clock is faster than the host's; 0 as long as it is not known. `jitter_ns`: half of the
+    last frames were late by no more than this, as compared to the quickest. `frames`: how
+    many the estimate rests on. `restarts`: how often the device's clock jumped.
+    """
+
+    offset_ns: int
+    drift_ppm: float
+    jitter_ns: int
+    frames: int
+    restarts: int
+
+
+class Stamper:
+    """Sets the times of one stream's frames to host times, in epoch nanoseconds.
+
+    `clocked`: the format has device times. `byte_ns`: what a byte takes on the line,
+    10 bits at the baud rate; 0 if the line has none. `frame_max`: bytes of the longest frame.
+
+    The same pieces and frames give the same times wherever `stamp` calls are cut, with
+    one exception: where noise or a control packet follows the last frame of a call, a frame
+    without a device time may have a time later by up to `frame_max` bytes.
+
+    One thread may call `arrived` and `gap`, and another one `stamp`.
+    """
+
+    def __init__(self, clocked: bool, byte_ns: float, frame_max: int) -> None:
+        self._byte_ns = byte_ns
+        self._clock = _DeviceClock() if clocked else None
+        # A frame's time is that of its first byte, or of its last one: there, noise or a control
+        # packet may lie between a frame and the next.
+        self._reach = 1 if clocked else frame_max
+        # Pieces by the offset behind them and their time. The first one holds no bytes
+        # that are still of interest: it only tells when the next one began.
+        self._pieces: list[tuple[int, int]] = [(0, _NEVER)]
+        self._gaps: deque[int] = deque()
+        self._times = np.empty(0, np.int64)
+
+    def arrived(self, end: int, ns: int) -> None:
+        """Take note that the bytes up to offset `end` had come by `ns`, epoch nanoseconds.
+
+        Once for each read, in order; a time before that of the last piece counts as that.
+        """
+        self._pieces.append((end, max(ns, self._pieces[-1][1])))
+
+    def gap(self) -> None:
+        """Take note that behind all that has arrived the stream was interrupted.
+
+        The device may have been another one meanwhile: its clock has to prove itself again.
+        """
+        if self._clock is not None:
+            self._gaps.append(self._pieces[-1][0])
+
+    def stamp(self, frames: FrameArray, offsets: Times, end: int) -> None:
+        """Set `frames["ts"]`, in place.
+
+        `frames`: FRAME_DTYPE, shape (n,), with device times in nanoseconds if the format has
+        them. `offsets`: int64, shape (n,), where each begins in the stream. `end`: the offset
+        behind the last packet decoded; what arrived before it is forgotten. ValueError if
+        that lies behind all that has arrived.
+        """
+        # A copy: the other thread may append.
+        pieces = self._pieces.copy()
+        if end > pieces[-1][0]:
+            raise ValueError(
+                f"frames end at offset {end}, but bytes have arrived up to {pieces[-1][0]} only; "
+                "call arrived() first"
+            )
+        # A quarter of the time that np.array takes for tuples.
+        known = np.fromiter(chain.from_iterable(pieces), np.int64, 2 * len(pieces))
+        if len(frames):
+            if len(self._times) < len(frames):
+                self._times = np.empty(len(frames), np.int64)
+            times = self._times[: len(frames)]
+            find_arrivals(known, self._byte_ns, offsets, times, end=end, reach=self._reach)
+            if self._clock is not None:
+                self._map(self._clock, frames["ts"], offsets, times)
+            frames["ts"] = times
+        gone = int(known[::2].searchsorted(end, "right")) - 1
+        del self._pieces[: max(gone, 0)]
+
+    @property
+    def clock(self) -> ClockEstimate | None:
+        """The estimate of the device's clock; None if there is no clock, or nothing is known."""
+        return None if self._clock is None else self._clock.estimate
+
+    @property
+    def remark(self) -> str | None:
+        """What is wrong with the device's clock, so that frames have arrival times; or None."""
+        return None if self._clock is None else self._clock.remark
+
+    def _map(self, clock: "_DeviceClock", device: Times, offsets: Times, times: Times) -> None:
+        """Turn arrivals into host times, gaps before and between the frames heeded."""
+        done = 0
+        while self._gaps and self._gaps[0] <= offsets[-1]:
+            stop = int(np.searchsorted(offsets, self._gaps.popleft()))
+            clock.follow(device[done:stop], times[done:stop])
+            clock.gap()
+            done = stop
+        clock.follow(device[done:], times[done:])
+
+
+class _Bucket:
+    """Frames by which a clock is estimated: device times and arrivals.
+
+    Its arrays are kept for the next ones: fresh memory costs more than all the rest.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._rows = np.empty((3, 256), np.int64)
+
+    def add(self, device: Times, arrivals: Times) -> Times:
+        """Take frames; return their device times as they lie here."""
+        begin, self.count = self.count, self.count + len(device)
+        if self.count > self._rows.shape[1]:
+            # In large steps: what nobody writes to is no memory yet, and copies are.
+            rows = np.empty((3, 4 * self.count), np.int64)
+            rows[:2, :begin] = self._rows[:2, :begin]
+            self._rows = rows
+        self._rows[0, begin : self.count] = device
+        self._rows[1, begin : self.count] = arrivals
+        return self._rows[0, begin : self.count]
+
+    def take(self) -> tuple[Times, Times, Times]:
+        """Empty it; return device times, arrivals, and their differences, good until `add`."""
+        device, arrivals, delays = self._rows[:, : self.count]
+        self.count = 0
+        return device, arrivals, np.subtract(arrivals, device, out=delays)
+
+
+class _DeviceClock:
+    """The estimate of a device's clock, and host times by it; see the module's docstring."""
+
+    def __init__(self) -> None:
+        self.estimate: ClockEstimate | None = None
+        self.remark: str | None = None
+        self._line = Line(_TOLERANCE, _NEVER)
+        self._bucket = _Bucket()
+        self._opened = 0  # when it began
+        # Buckets are short until a second has passed since the first one, or the first after a gap.
+        self._settled = False
+        self._since: int | None = None
+        self._tried = 0  # frames since then
+        # Of the frame that was a bucket's minimum: device time, arrival, and their difference.
+        self._points = np.empty((3, 0), np.int64)
+        self._frames = 0  # in the buckets of these points, and before them
+        # The line: the host's time when it was some device time, and the slope.
+        self._device = 0
+        self._host: int | None = None
+        self._drift = 0.0
+        # Of buckets, a second apart at least: the medians of device times and of arrivals.
+        self._middles: deque[tuple[int, int]] = deque(maxlen=_RATES + 1)
+        self._reached = 0  # the last such device time
+        self._longest_queue = _LONGEST_QUEUE_UNPROVEN
+        self._restarts = 0
+
+    def follow(self, device: Times, times: Times) -> None:
+        """Turn the arrivals of the next frames into host times, in place, and learn from them."""
+        start = 0
+        while start < len(times):
+            if not self._bucket.count:
+                self._opened = int(times[start])
+            # A bucket's last frame is the first one with enough frames and enough time.
+            second = int(times[start:].searchsorted(self._opened + _BUCKET_NS)) + 1
+            left = max(_BUCKET_FRAMES - self._bucket.count, second)
+            if not self._settled:
+                left = min(left, max(_FIRST_FRAMES, self._tried) - self._bucket.count)
+            part = slice(start, start + left)
+            held = self._bucket.add(device[part], times[part])
+            if self._host is None:
+                self._line.pass_by(int(times[part][-1]))
+            else:
+                self._line.map(held, times[part], self._reached, self._longest_queue)
+            if len(held) == left:
+                self._close()
+            start += left
+
+    def gap(self) -> None:
+        """Doubt what is known: the line stays if the next frames agree with it."""
+        self._bucket.count = 0  # it may be too small to tell anything
+        self._middles.clear()
+        self._longest_queue = _LONGEST_QUEUE_UNPROVEN
+        self._settled = False
+        self._since = None
+        self._tried = 0
+
+    def _forget(self) -> None:
+        self._points = self._points[:, :0]
+        self._frames = 0
+        self._host = None
+        self.estimate = None
+
+    def _close(self) -> None:
+        """Learn from the open bucket, which is full."""
+        device, arrivals, delays = self._bucket.take()
+        total = len(device)
+        self._tried += total
+        if self._since is None:
+            self._since = self._opened
+        self._settled = int(arrivals[-1]) - self._since >= _BUCKET_NS
+
+        usual, low, high = find_ranked(delays, total // 2)
+        if max(usual - low, high - usual) > _LONGEST_QUEUE:
+            near = np.abs(delays - usual) <= _LONGEST_QUEUE
+            device, arrivals, delays = device[near], arrivals[near], delays[near]
+        middle, _, _ = find_ranked(device, len(device) // 2)
+        self._check_rate(device, middle, int(arrivals[len(arrivals) // 2]))
+        if self.remark is not None:
+            self._forget()
+            return
+        if len(device) * 2 < total:
+            return  # noise
+
+        lowest = find_lowest(delays, min(2, total // 4))
+        point = [[device[lowest]], [arrivals[lowest]], [delays[lowest]]]
+        if self._jumped(device[lowest : lowest + 1], arrivals[lowest : lowest + 1], middle):
+            # The bucket is not used: frames from before the jump may be in it.
+            self._restarts += 1
+            self._forget()
+            return
+        self._points = np.concatenate((self._points, point), axis=1)[:, -_WINDOW:]
+        self._frames += len(device)
+        self._reached = middle
+        host = self._host = self._fit()
+        self._line.lay(self._device, host, self._drift)
+        heights = delays  # in their place
+        self._line.find_heights(device, arrivals, heights)
+        self.estimate = ClockEstimate(
+            offset_ns=host - self._device,
+            drift_ppm=-self._drift * 1e6,
+            jitter_ns=max(0, find_ranked(heights, len(heights) // 2)[0]),
+            frames=self._frames,
+            restarts=self._restarts,
+        )
+
+    def _check_rate(self, device: Times, middle: int, arrival: int) -> None:
+        """Find out how fast the device's clock runs, and say so if it is not a second a second."""
+        if not self._middles or arrival - self._middles[-1][1] >= _BUCKET_NS:
+            self._middles.append((middle, arrival))
+        if len(self._middles) <= _RATES_LEAST:
+            return
+        rates = [_wrapped(d - c) / (b - a) for (c, a), (d, b) in pairwise(self._middles)]
+        rate = median(rates)
+        agree = [other for other in rates if abs(other - rate) <= 0.25 * abs(rate) + 0.01]
+        if len(agree) * 2 <= len(rates):
+            return  # noise, or the device restarts all the time
+        if _RATE_LEAST <= rate <= _RATE_MOST:
+            self._longest_queue = _LONGEST_QUEUE
+            self.remark = None
+        else:
+            self._longest_queue = _LONGEST_QUEUE_UNPROVEN
+            self.remark = _describe_rate(float(np.mean(agree)), device)
+
+    def _jumped(self, device: Times, arrival: Times, middle: int) -> bool:
+        """Tell by a bucket's minimum, as arrays of one, and its middle if the clock jumped."""
+        if self._host is None:
+            return False
+        height = np.empty(1, np.int64)
+        self._line.find_heights(device, arrival, height)
+        back = _wrapped(middle - self._reached) < -_TOLERANCE
+        return back or not -_LONGEST_QUEUE <= height[0] <= self._longest_queue
+
+    def _fit(self) -> int:
+        """Put the line below the points; return the host's time at the last one."""
+        points, count = self._points, self._points.shape[1]
+        device, arrivals, delays = (points - points[:, -1:]).astype(np.float64)
+        if count >= _DRIFT_POINTS and -arrivals[0] >= _DRIFT_SPAN:
+            lag = count // 4
+            # The points of short buckets may lie closer together, or in one.
+            apart = np.maximum(arrivals[lag:] - arrivals[:-lag], _BUCKET_NS)
+            slopes = (delays[lag:] - delays[:-lag]) / apart
+            drift = _middle(slopes)
+            if _middle(np.abs(slopes - drift)) <= _DRIFT_SPREAD:
+                self._drift = min(max(drift, -_DRIFT_MOST), _DRIFT_MOST)
+        heights = delays - self._drift * device
+        lowest = heights.min()
+        if count > _STUCK and heights[-_STUCK:].min() > lowest + _STUCK_NS:
+            lowest = heights[-_STUCK:].min()
+            self._points = points[:, -_STUCK:]
+        self._device = int(points[0, -1])
+        return int(points[1, -1]) + int(lowest)
+
+
+def _wrapped(difference: int) -> int:
+    """Return a difference of device times, which may be anything, modulo 2**64."""
+    return (difference + 2**63) % 2**64 - 2**63
+
+
+def _middle(values: npt.NDArray[np.float64]) -> float:
+    """Return what np.median does, in a fifth of its time for some hundred values."""
+    values = np.sort(values)
+    half = len(values) // 2
+    return float(values[half] if len(values) % 2 else (values[half - 1] + values[half]) / 2)
+
+
+def _describe_rate(rate: float, device: Times) -> str:
+    """Say how a clock runs that does not run a second a second, and what unit would explain it."""
+    if rate < 1e-8:  # slower than seconds that are taken for nanoseconds, and no noise
+        return "the device clock stands still or runs backwards; frames have arrival times"
+    fast = max(rate, 1 / rate)
+    thousands = round(np.log10(fast) / 3)
+    plain = thousands > 0 and 0.7 < fast / 1000**thousands < 1.4
+    factor = float(1000**thousands) if plain else fast
+    speed = "as fast as" if rate > 1 else "as slowly as"
+    text = f"the device clock runs {factor:{'.0f' if factor >= 100 else '.2g'}} times {speed} the"
+    given = next((ns for ns in TS_UNITS.values() if not (device % ns).any()), 0)
+    true = given / factor if rate > 1 else given * factor
+    fits = [unit for unit, ns in TS_UNITS.items() if plain and true == ns]
+    return f"{text} host's; " + (
+        f"is ts_unit {fits[0]!r}?" if fits else "frames have arrival times"
+    )
