@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from canser.commands import ALL, cli
+from canser.commands import COMMANDS, cli
 from canser.commands._numbers import byte_count, duration, real, whole
 
 # What int() or float() reads, and is no number by any grammar here.
@@ -117,9 +117,8 @@ def test_what_is_no_size(text: str) -> None:
 
 def options() -> Iterator[tuple[str, argparse.Action]]:
     """Yield every option of every command that takes a value, with the command's name."""
-    commands = argparse.ArgumentParser().add_subparsers()
-    for command in ALL:
-        command.add(commands)
+    whole = cli.parser(COMMANDS)
+    (commands,) = (a for a in whole._actions if isinstance(a, argparse._SubParsersAction))
     for name, parser in commands.choices.items():
         for action in parser._actions:
             if action.option_strings and action.nargs != 0:

@@ -8,7 +8,7 @@ import pytest
 import canser
 import canser.commands._sending
 from canser._frames import FrameArray
-from canser.commands._common import DataError
+from canser.commands._parser import DataError
 from canser.commands._sending import Sender
 from canser.errors import PortGoneError, SendError, SendTimeoutError
 from canser.simulation.traffic import vehicle

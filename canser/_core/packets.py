@@ -51,7 +51,7 @@ def encode_into(
     done = result.frame_count
     if status == lib.CANSER_REFUSED:
         frame = frames[done]
-        why = text(lib.canser_refusaltext(result.refusal))
+        why = text(lib.canser_refusal_text(result.refusal))
         raise ValueError(
             f"{protocol.name} cannot carry frame {first + done} (id {int(frame['id']):#x}, "
             f"ext {int(frame['ext'])}, dlc {frame['dlc']}): {why}"

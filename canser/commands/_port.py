@@ -6,8 +6,8 @@ from typing import Final
 
 from canser import adapters
 from canser._protocols import TS_UNITS, protocols
-from canser.commands._common import CallError, Parser, protocol_name
 from canser.commands._numbers import duration, whole
+from canser.commands._parser import CallError, Parser, protocol_name
 from canser.errors import PortBusyError, PortDeniedError, PortNotFoundError
 from canser.live import ports
 from canser.live.ports import Port

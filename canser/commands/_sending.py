@@ -9,7 +9,7 @@ import numpy as np
 
 from canser._frames import FrameArray, copy_records
 from canser.codec.decoder import decode, encode
-from canser.commands._common import DataError
+from canser.commands._parser import DataError
 from canser.errors import PortError, SendError, SendTimeoutError
 from canser.live.ports import Port
 

@@ -4,7 +4,8 @@ from pathlib import Path
 
 from canser._frames import FrameArray
 from canser.codec.doubt import LEAST_BYTES, is_doubtful
-from canser.commands._common import DataError, check_found, options_named
+from canser.commands._parser import DataError
+from canser.commands._source import check_found, options_named
 from canser.files.fits import identify
 from canser.files.frame_file import FrameFile, format_of
 from canser.files.judge import describe_fit

@@ -3,14 +3,16 @@
 import argparse
 import contextlib
 import signal
-from collections.abc import Iterator, Sequence
-from importlib.metadata import version
-from typing import NoReturn
+import sys
+from collections.abc import Container, Iterator, Sequence
+from importlib import import_module
+from typing import Any, NoReturn
 
+import canser
 from canser._output import optional_messages
 from canser._protocols import protocols
-from canser.commands import ALL
-from canser.commands._common import (
+from canser.commands import COMMANDS
+from canser.commands._parser import (
     BAD_CALL,
     BAD_DATA,
     GOOD,
@@ -29,11 +31,26 @@ from canser.errors import (
     StreamClosedError,
 )
 
-__all__ = ["main"]
+__all__ = ["main", "parser"]
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
+class _Version(argparse.Action):
+    """Print the version, which takes long to find, where it is asked for."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str) -> None:  # noqa: A002
+        super().__init__(option_strings, dest, nargs=0, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        show([f"canser {canser.__version__}"])
+        parser.exit()
+
+
+def parser(names: Container[str]) -> argparse.ArgumentParser:
+    """Return the parser, with the arguments of these commands.
+
+    Loading a command takes longer than most calls of another one.
+    """
+    whole = Parser(
         prog="canser",
         description="Decode, encode, record and simulate the byte streams of serial CAN adapters.",
         epilog="examples:\n"
@@ -48,19 +65,22 @@ def _parser() -> argparse.ArgumentParser:
         "exit codes: 0 good, 1 the data is bad, 2 the call is wrong",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"canser {version('canser')}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
-    for command in ALL:
-        command.add(commands)
+    whole.add_argument("--version", action=_Version, help="show the version and exit")
+    commands = whole.add_subparsers(dest="command", metavar="COMMAND")
+    for name, about in COMMANDS.items():
+        if name in names:
+            import_module(f"canser.commands.{name}").add(commands)
+        else:
+            commands.add_parser(name, help=about)
 
     def show_help(_: argparse.Namespace) -> int:
         # The help on standard output, for a reader or a pager, as git prints it. But no command
         # was run: `canser $COMMAND` in a script must not pass for a success where it is empty.
-        show([parser.format_help().rstrip("\n")])
+        show([whole.format_help().rstrip("\n")])
         return BAD_CALL
 
-    parser.set_defaults(run=show_help)  # a command replaces it
-    return parser
+    whole.set_defaults(run=show_help)  # a command replaces it
+    return whole
 
 
 @contextlib.contextmanager
@@ -85,12 +105,12 @@ def _terminated_cleanly() -> Iterator[None]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code. What becomes of messages does not change it."""
     with optional_messages():
-        return _run(argv)
+        return _run(sys.argv[1:] if argv is None else argv)
 
 
-def _run(argv: Sequence[str] | None) -> int:
+def _run(argv: Sequence[str]) -> int:
     try:
-        args = _parser().parse_args(argv)
+        args = parser(argv).parse_args(argv)
         with _terminated_cleanly():
             code: int = args.run(args)
             return code

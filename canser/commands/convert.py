@@ -6,17 +6,8 @@ from canser._output import check_apart, whole_file
 from canser._progress import Progress
 from canser._protocols import protocols
 from canser.commands import _report as report
-from canser.commands._common import (
-    GOOD,
-    CallError,
-    Commands,
-    add_command,
-    check_found,
-    open_source,
-    say,
-    say_remarks,
-    source_arguments,
-)
+from canser.commands._parser import GOOD, CallError, Commands, add_command, say
+from canser.commands._source import check_found, open_source, say_remarks, source_arguments
 from canser.files.conversion import convert
 from canser.files.frame_file import FORMATS, RAW, format_of
 from canser.files.judge import AUTO
@@ -29,7 +20,6 @@ def add(commands: Commands) -> None:
     parser = add_command(
         commands,
         "convert",
-        "raw bytes or a recording to .npy, .csv or candump .log, and back",
         "  canser convert run.bin run.npy -p seeed\n"
         "  canser convert run.pcapng run.log\n"
         "  canser convert run.bin - -p seeed | grep ' 123#'\n"

@@ -7,17 +7,8 @@ import numpy as np
 from canser._frames import FRAME_DTYPE, match
 from canser._output import standard_output
 from canser.commands import _report as report
-from canser.commands._common import (
-    GOOD,
-    CallError,
-    Commands,
-    add_command,
-    check_found,
-    open_source,
-    say,
-    say_remarks,
-    source_arguments,
-)
+from canser.commands._parser import GOOD, CallError, Commands, add_command, say
+from canser.commands._source import check_found, open_source, say_remarks, source_arguments
 from canser.files.candump import Writer as CandumpWriter
 
 __all__ = ["add"]
@@ -28,7 +19,6 @@ def add(commands: Commands) -> None:
     parser = add_command(
         commands,
         "dump",
-        "print frames as candump does",
         "  canser dump run.bin -p seeed | head\n"
         "  canser dump run.bin -p seeed --filter 123 --filter 18FEF100 --filter 7E0:7F8\n"
         "  canser dump run.pcapng\n"

@@ -11,17 +11,12 @@ from canser._protocols import protocols
 from canser.analysis.ids import Tally
 from canser.codec.decoder import Control
 from canser.commands import _report as report
-from canser.commands._common import (
-    GOOD,
-    CallError,
-    Commands,
-    DataError,
+from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, show
+from canser.commands._source import (
     ProtocolNeededError,
-    add_command,
     check_found,
     open_source,
     say_remarks,
-    show,
     source_arguments,
 )
 from canser.files.fits import Fit, identify
@@ -35,7 +30,6 @@ def add(commands: Commands) -> None:
     add_command(
         commands,
         "info",
-        "frames, times, ids, rates, skipped bytes; without -p, which protocol fits best",
         "  canser info run.bin\n"
         "  canser info run.bin -p serial --ts-unit us\n"
         "  canser info run.log\n"

@@ -53,8 +53,8 @@ from canser import adapters
 from canser._frames import FRAME_DTYPE, FrameArray, match
 from canser._signals import Stop, stop_on_signals
 from canser.commands import _report as report
-from canser.commands._common import BAD_DATA, GOOD, CallError, Commands, DataError, add_command
 from canser.commands._numbers import byte_count, duration, whole
+from canser.commands._parser import BAD_DATA, GOOD, CallError, Commands, DataError, add_command
 from canser.commands._port import open_port, port_arguments, staying_arguments
 from canser.commands._screen import PATIENCE_S, Lines, StatusLine, warnings_as_lines
 from canser.errors import PortError, StreamClosedError
@@ -102,7 +102,6 @@ def add(commands: Commands) -> None:
     parser = add_command(
         commands,
         "log",
-        "record the bytes of a port, with their times, in pcapng files",
         "  canser log -c /dev/ttyUSB0 -p seeed --bitrate 500000 run.pcapng\n"
         "  canser log -c /dev/ttyUSB0 -p seeed --size 100M --keep 20 run.pcapng\n"
         "  canser log -c /dev/ttyACM0 -p serial --trigger 123 --trigger error \\\n"

@@ -6,7 +6,7 @@ import sys
 import time
 
 from canser._signals import stop_on_signals
-from canser.commands._common import GOOD, CallError, Commands, add_command
+from canser.commands._parser import GOOD, CallError, Commands, add_command
 from canser.commands._port import open_port, port_arguments, staying_arguments
 from canser.commands._screen import warnings_as_lines
 from canser.monitoring.livetable import exact
@@ -19,7 +19,6 @@ def add(commands: Commands) -> None:
     parser = add_command(
         commands,
         "monitor",
-        "show the live table of a port, by id",
         "  canser monitor -c /dev/ttyUSB0 -p seeed --bitrate 500000\n"
         "  canser monitor -c /dev/ttyUSB0 -p seeed --filter 123 --filter 7E0:7F8\n\n"
         "keys: i n p j d s sort by id, count, period, jitter, dlc, last seen (again: the\n"

@@ -8,18 +8,11 @@ from typing import Final
 from canser._frames import FrameArray
 from canser._signals import Stop, stop_on_signals
 from canser.codec.refusals import Refusals
-from canser.commands._common import (
-    GOOD,
-    CallError,
-    Commands,
-    DataError,
-    add_command,
-    as_is_argument,
-    say,
-)
 from canser.commands._numbers import real
+from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, say
 from canser.commands._port import open_port, port_arguments
 from canser.commands._sending import Sender
+from canser.commands._source import as_is_argument
 from canser.commands._traffic import TrafficFile
 from canser.errors import CanserError
 from canser.files.frame_file import FORMATS, FrameFile
@@ -36,7 +29,6 @@ def add(commands: Commands) -> None:
     parser = add_command(
         commands,
         "play",
-        "send the frames of a file at their recorded times",
         "  canser play run.pcapng -c /dev/ttyUSB0 -p seeed --bitrate 500000\n"
         "  canser play run.log -c /dev/ttyACM0 -p serial --speed 2 --loop\n"
         "  canser play run.csv -c socket://gateway:4000 -p serial --gap 10",

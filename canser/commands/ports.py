@@ -2,7 +2,7 @@
 
 import argparse
 
-from canser.commands._common import GOOD, Commands, add_command, say, show
+from canser.commands._parser import GOOD, Commands, add_command, say, show
 from canser.live.ports import list_ports
 
 __all__ = ["add"]
@@ -13,7 +13,6 @@ def add(commands: Commands) -> None:
     add_command(
         commands,
         "ports",
-        "list the serial ports that are plugged in",
         "  canser ports",
         run=run,
     )

@@ -3,7 +3,7 @@
 import argparse
 
 from canser._output import check_apart, whole_file
-from canser.commands._common import GOOD, Commands, add_command, say
+from canser.commands._parser import GOOD, Commands, add_command, say
 from canser.recording.recording import recover
 
 __all__ = ["add"]
@@ -14,7 +14,6 @@ def add(commands: Commands) -> None:
     parser = add_command(
         commands,
         "recover",
-        "copy what is good of a torn or damaged recording, and say what is not",
         "  canser recover run.pcapng whole.pcapng",
         run=run,
     )

@@ -4,7 +4,7 @@ import argparse
 
 from canser._frames import copy_records
 from canser.codec.decoder import encode
-from canser.commands._common import GOOD, CallError, Commands, add_command, say
+from canser.commands._parser import GOOD, CallError, Commands, add_command, say
 from canser.commands._port import open_port, port_arguments
 from canser.commands._sending import Sender
 from canser.files.candump import frames_of
@@ -17,7 +17,6 @@ def add(commands: Commands) -> None:
     parser = add_command(
         commands,
         "send",
-        "send frames",
         "  canser send -c /dev/ttyUSB0 -p seeed --bitrate 500000 123#DEADBEEF\n"
         "  canser send -c /dev/ttyACM0 -p serial 18FEF100#01.02 7E0#R8\n"
         "  canser send -c socket://gateway:4000 -p cantalope 123# 124#00",

@@ -18,20 +18,19 @@ from canser._protocols import TS_UNITS, protocols
 from canser._signals import Stop, stop_on_signals
 from canser.codec.decoder import encode
 from canser.codec.refusals import Refusals
-from canser.commands._common import (
+from canser.commands._numbers import real, whole
+from canser.commands._parser import (
     BAD_DATA,
     GOOD,
     CallError,
     Commands,
     DataError,
     add_command,
-    as_is_argument,
     protocol_name,
     say,
-    say_remarks,
     show,
 )
-from canser.commands._numbers import real, whole
+from canser.commands._source import as_is_argument, say_remarks
 from canser.commands._traffic import TrafficFile
 from canser.errors import ReaderGoneError
 from canser.simulation.simulator import PACES, Simulator, SimulatorReport
@@ -61,7 +60,6 @@ def add(commands: Commands) -> None:
     parser = add_command(
         commands,
         "simulate",
-        "simulate an adapter on a pseudo terminal: no hardware needed",
         "  canser simulate -p seeed                      prints its name, sends for ever\n"
         "  canser simulate -p serial --traffic run.log --link /tmp/can\n"
         "  canser simulate -p seeed --seconds 60 --pace max --copy sent.bin\n"

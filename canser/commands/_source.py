@@ -1,94 +1,29 @@
-"""What the commands share: exit codes, errors, messages, and how the input is named."""
+"""IN, the file that a command reads: its arguments, how it is opened, and what is told of it."""
 
 import argparse
 import contextlib
-import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, NoReturn
+from collections.abc import Iterator
 
-from canser._output import standard_output
 from canser._progress import Progress
 from canser._protocols import TS_UNITS, protocols
-from canser.codec.decoder import Decoder
+from canser.commands._parser import CallError, DataError, Parser, protocol_name, say
 from canser.errors import ForeignFormatError, NoProtocolError, WrongProtocolError
 from canser.files.frame_file import FORMATS, FrameFile, format_of
 from canser.files.judge import AUTO, is_auto
 
 __all__ = [
-    "BAD_CALL",
-    "BAD_DATA",
-    "GOOD",
-    "CallError",
-    "Commands",
-    "DataError",
-    "Parser",
     "ProtocolNeededError",
-    "add_command",
     "as_is_argument",
     "check_found",
     "open_source",
     "options_named",
-    "protocol_name",
-    "say",
     "say_remarks",
-    "show",
     "source_arguments",
 ]
-
-# Exit codes.
-GOOD, BAD_DATA, BAD_CALL = 0, 1, 2
-
-# Where a command adds its parser.
-Commands = Any
-
-
-class CallError(Exception):
-    """The call is wrong; the message says what and the remedy."""
 
 
 class ProtocolNeededError(CallError):
     """Raw bytes are to be read, and nobody said in which protocol."""
-
-
-class DataError(Exception):
-    """The data is bad; the message says what and the remedy."""
-
-
-class Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line."""
-
-    def error(self, message: str) -> NoReturn:
-        """End the program with a line that says what is wrong."""
-        self.exit(BAD_CALL, f"{self.prog}: {message}; see {self.prog} --help\n")
-
-    def _print_message(self, message: str, file: Any = None) -> None:
-        # A help or a version: `show` tells of a standard output that is full or closed.
-        if file is not None and file is not sys.stderr:
-            show(message.splitlines())
-        else:
-            super()._print_message(message, file)
-
-
-def add_command(
-    commands: Commands,
-    name: str,
-    about: str,
-    example: str,
-    *,
-    run: Callable[[argparse.Namespace], int],
-    parents: Sequence[argparse.ArgumentParser] = (),
-) -> argparse.ArgumentParser:
-    """Add a command, with its line of help and its examples; return its parser."""
-    parser: argparse.ArgumentParser = commands.add_parser(
-        name,
-        parents=parents,
-        help=about,
-        description=about[0].upper() + about[1:] + ".",
-        epilog=f"examples:\n{example}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.set_defaults(run=run)
-    return parser
 
 
 def source_arguments() -> argparse.ArgumentParser:
@@ -130,14 +65,6 @@ def as_is_argument(parser: argparse.ArgumentParser) -> None:
 def protocol_or_auto(name: str) -> str:
     """Return the protocol's own name of a spelling, or AUTO."""
     return AUTO if is_auto(name) else protocol_name(name)
-
-
-def protocol_name(name: str) -> str:
-    """Return the protocol's own name of a spelling."""
-    try:
-        return Decoder(name).protocol
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def open_source(args: argparse.Namespace, progress: Progress | None = None) -> FrameFile:
@@ -188,14 +115,3 @@ def say_remarks(source: FrameFile) -> None:
     """Print on standard error what is to be known of a file."""
     for remark in source.remarks:
         say(f"{source.name}: {remark}")
-
-
-def show(lines: Iterable[str]) -> None:
-    """Print lines on the standard output."""
-    with standard_output() as out:
-        out.write("".join(f"{line}\n" for line in lines).encode())
-
-
-def say(text: str) -> None:
-    """Print a line on standard error: standard output is for the data."""
-    print(text, file=sys.stderr)
