@@ -39,11 +39,15 @@ if TYPE_CHECKING:
     from canser.errors import SendTimeoutError as SendTimeoutError
     from canser.errors import StreamClosedError as StreamClosedError
     from canser.errors import WrongProtocolError as WrongProtocolError
-    from canser.files.captures import Blocks as Blocks
-    from canser.files.captures import blocks as blocks
-    from canser.files.captures import read as read
     from canser.files.fits import Fit as Fit
     from canser.files.fits import identify as identify
+    from canser.files.reading import Blocks as Blocks
+    from canser.files.reading import FileInfo as FileInfo
+    from canser.files.reading import blocks as blocks
+    from canser.files.reading import read as read
+    from canser.files.writing import Converted as Converted
+    from canser.files.writing import convert as convert
+    from canser.files.writing import write as write
     from canser.live.ports import Port as Port
     from canser.live.ports import PortInfo as PortInfo
     from canser.live.ports import list_ports as list_ports
@@ -98,14 +102,20 @@ _HOMES: Final = {
         "StreamClosedError",
         "WrongProtocolError",
     ),
-    "canser.files.captures": (
-        "Blocks",
-        "blocks",
-        "read",
-    ),
     "canser.files.fits": (
         "Fit",
         "identify",
+    ),
+    "canser.files.reading": (
+        "Blocks",
+        "FileInfo",
+        "blocks",
+        "read",
+    ),
+    "canser.files.writing": (
+        "Converted",
+        "convert",
+        "write",
     ),
     "canser.live.ports": (
         "Port",

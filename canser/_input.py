@@ -9,7 +9,7 @@ from typing import BinaryIO, Self, cast
 
 from canser._named import named
 
-__all__ = ["WINDOW", "Input", "Source"]
+__all__ = ["WINDOW", "Input", "Source", "Stream"]
 
 # What can be read: a path, or a file open for reading bytes, from where it stands.
 Source = str | os.PathLike[str] | BinaryIO
@@ -94,6 +94,10 @@ class Input:
             self._move(offset, 1)
         return self._view[offset - self._base :]
 
+    def stream(self) -> "Stream":
+        """Return the bytes as a file to read from its start on."""
+        return Stream(self)
+
     def map_whole(self) -> memoryview:
         """Return the bytes from where the file stood to its end in one piece; if it is mapped."""
         assert self.size is not None
@@ -152,6 +156,26 @@ class Input:
         # What is read at once is not copied.
         whole = parts[1] if len(parts) == 2 and not parts[0] else b"".join(parts)
         self._base, self._view = offset, memoryview(whole)
+
+
+class Stream(io.RawIOBase):
+    """The bytes of an Input as a file. `bytes_done`: how many were read."""
+
+    def __init__(self, source: Input) -> None:
+        super().__init__()
+        self._source = source
+        self.bytes_done = 0
+
+    def readable(self) -> bool:
+        """Return True."""
+        return True
+
+    def readinto(self, room: memoryview) -> int:  # type: ignore[override]
+        """Read the bytes that are at hand; return how many, 0 at the end."""
+        piece = self._source.some(self.bytes_done)[: len(room)]
+        room[: len(piece)] = piece
+        self.bytes_done += len(piece)
+        return len(piece)
 
 
 def _check_source(source: object) -> None:

@@ -235,7 +235,7 @@ ERRORS = {
     "unknown suffix": (
         ["convert", "seeed.bin", "x.mf4", "-p", "seeed"],
         BAD_CALL,
-        ["x.mf4", ".npy, .csv or .log", "--to"],
+        ["x.mf4", ".log, .csv, .npy", "--to"],
     ),
     "unknown format": (
         ["convert", "seeed.bin", "x", "-p", "seeed", "--to", "mf4"],
@@ -258,7 +258,7 @@ ERRORS = {
         ["there.log", "--force"],
     ),
     "output is a folder": (
-        ["convert", "seeed.bin", "folder.bin", "-p", "seeed", "--to", "log", "--force"],
+        ["convert", "seeed.bin", "folder.bin", "-p", "seeed", "--to", "candump", "--force"],
         BAD_CALL,
         ["folder.bin", "directory"],
     ),
@@ -280,10 +280,10 @@ ERRORS = {
     "empty file": (["info", "empty.bin"], BAD_DATA, ["empty.bin", "empty"]),
     "text": (["info", "text.txt"], BAD_DATA, ["text.txt is a text, not raw bytes"]),
     "auto of noise": (["dump", "noise.bin", "-p", "auto"], BAD_CALL, ["look like no protocol"]),
-    "a log without its suffix": (
-        ["info", "log.txt"],
+    "a log that is to be raw bytes": (
+        ["info", "log.txt", "-p", "seeed"],
         BAD_CALL,
-        ["log.txt is a candump log", "read it with --from log"],
+        ["log.txt is a candump log, not raw bytes", "leave -p out"],
     ),
     "an ASC log": (["info", "run.asc"], BAD_DATA, ["Vector ASC", "can_logconvert run.asc"]),
     "noise": (["info", "noise.bin"], BAD_DATA, ["noise.bin", "no protocol fits", "-p"]),
@@ -327,7 +327,7 @@ ERRORS = {
         ["in no seeed packet"],
     ),
     "raw bytes as a log": (
-        ["info", "seeed.bin", "--from", "log"],
+        ["info", "seeed.bin", "--from", "candump"],
         BAD_DATA,
         ["seeed.bin, line 1: ", "raw bytes?"],
     ),
@@ -386,7 +386,7 @@ def test_a_file_on_the_standard_input_is_not_written(tmp_path: Path) -> None:
     path = tmp_path / "run.bin"
     path.write_bytes(canser.encode(vehicle(1), "seeed"))
     before = path.read_bytes()
-    call = command("convert", "-", "run.bin", "-p", "seeed", "--to", "log", "--force")
+    call = command("convert", "-", "run.bin", "-p", "seeed", "--to", "candump", "--force")
     with path.open("rb") as file:
         done = subprocess.run(call, cwd=tmp_path, stdin=file, capture_output=True, check=False)
     assert_fails(done, BAD_CALL, "run.bin and - are one file")
@@ -469,7 +469,7 @@ def test_pipes_in_and_out(captures: Path) -> None:
     assert log.returncode == GOOD
     assert log.stdout.startswith(b"(0.0")
     assert log.stdout.count(b"\n") == len(vehicle(2))
-    back = run(captures, "convert", "-", "-", "-p", "serial", "--from", "log", stdin=log.stdout)
+    back = run(captures, "convert", "-", "-", "-p", "serial", "--from", "candump", stdin=log.stdout)
     assert back.returncode == GOOD
     assert back.stdout == raw
     info = run(captures, "info", "-", "-p", "serial", stdin=raw)

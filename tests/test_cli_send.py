@@ -247,7 +247,7 @@ def test_play_looks_at_a_pipe_block_by_block(
     # More than one block of lines, with an error frame behind the first block.
     log = "(0.0) can0 123#01\n" * 20_000 + "(0.0) can0 20000080#00\n" + "(0.0) can0 124#02\n"
     options = ["--strict"] if strict else []
-    arguments = call("play", "-", "--from", "log", *options)
+    arguments = call("play", "-", "--from", "candump", *options)
     with running(tmp_path, *arguments, stdin=subprocess.PIPE) as run:
         assert run.process.stdin is not None
         feeder = threading.Thread(target=feed, args=(run.process.stdin, log.encode()))
@@ -281,7 +281,7 @@ def feed(pipe: IO[bytes], data: bytes) -> None:
 
 def test_a_pipe_that_turns_bad_is_sent_up_to_there(tmp_path: Path, device: "Device") -> None:
     log = "(0.0) can0 123#01\n" * 20_000 + "nothing\n"
-    with running(tmp_path, *call("play", "-", "--from", "log"), stdin=subprocess.PIPE) as run:
+    with running(tmp_path, *call("play", "-", "--from", "candump"), stdin=subprocess.PIPE) as run:
         assert run.process.stdin is not None
         feeder = threading.Thread(target=feed, args=(run.process.stdin, log.encode()))
         feeder.start()

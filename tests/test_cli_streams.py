@@ -77,7 +77,7 @@ def test_a_pipe_that_breaks_is_an_error_where_it_is_a_file(folder: Path, tmp_pat
 
     reader = threading.Thread(target=read_little, daemon=True)
     reader.start()
-    done = run(folder, f"convert run.bin {fifo} -p serial --to log")
+    done = run(folder, f"convert run.bin {fifo} -p serial --to candump")
     reader.join(PATIENCE_S)
     assert (done.returncode, done.stdout) == (BAD_DATA, b"")
     assert done.stderr.decode() == f"canser: {fifo}: Broken pipe\n"
@@ -85,7 +85,7 @@ def test_a_pipe_that_breaks_is_an_error_where_it_is_a_file(folder: Path, tmp_pat
 
 @full
 def test_a_full_device_is_named(folder: Path) -> None:
-    done = run(folder, "convert run.bin /dev/full -p serial --to log")
+    done = run(folder, "convert run.bin /dev/full -p serial --to candump")
     assert done.returncode == BAD_DATA
     assert done.stderr == b"canser: /dev/full: No space left on device\n"
 

@@ -212,7 +212,7 @@ def masked(array: Any) -> Any:
         ),
         "frames of encode": lambda: canser.encode(masked(SOME), "serial"),
         "frames of match": lambda: canser.match(masked(SOME), "123:7FF"),
-        "frames of encode_blocks": lambda: next(codec.encode_blocks([masked(SOME)], "serial")),
+        "frames of encode_blocks": lambda: codec.Encoder("serial").encode(masked(SOME)),
         "traffic of Simulator": lambda: Simulator("serial", masked(SOME)),
     }.items(),
 )
@@ -665,13 +665,14 @@ def test_what_is_no_array_of_frames_is_not_encoded(
         canser.encode(frames, "serial")
 
 
-def test_encode_blocks_counts_frames_over_all_blocks() -> None:
+def test_an_encoder_counts_frames_over_all_blocks() -> None:
     bad = SOME[:3].copy()
     bad["dlc"][1] = 9
-    blocks = codec.encode_blocks([SOME[:10], SOME[10:30], bad], "seeed")
-    assert next(blocks).tobytes() + next(blocks).tobytes() == canser.encode(SOME[:30], "seeed")
+    encoder = codec.Encoder("seeed")
+    raw = encoder.encode(SOME[:10]).tobytes() + encoder.encode(SOME[10:30]).tobytes()
+    assert raw == canser.encode(SOME[:30], "seeed")
     with pytest.raises(ValueError, match="frame 31"):
-        next(blocks)
+        encoder.encode(bad)
 
 
 # Threads and memory.

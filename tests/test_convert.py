@@ -10,14 +10,17 @@ import pytest
 import canser
 from canser._frames import FrameArray
 from canser.errors import FormatError
-from canser.files.conversion import Converted, convert
-from canser.files.formats import BY_SUFFIX
-from canser.files.frame_file import RAW, FrameFile, format_of
+from canser.files.formats import RAW, find_format, format_of_name
+from canser.files.reader import ReadOptions
+from canser.files.reading import Blocks
+from canser.files.writer import WriteOptions
+from canser.files.writing import Converted, convert_opened
 from canser.simulation.traffic import vehicle
 from reference import NO_TIME, Frame
 from samples import EPOCH, MICROSECOND, MILLISECOND, SECOND, array, listed, timed
 
-FORMATS = [suffix[1:] for suffix in BY_SUFFIX]
+FORMATS = ["npy", "csv", "candump"]
+SUFFIXES = {name: find_format(name).suffixes[0] for name in FORMATS}
 PROTOCOLS = canser.protocols()
 
 
@@ -30,12 +33,10 @@ def decoded(
 ) -> tuple[Path, Converted]:
     """Convert raw bytes into a file of frames beside `path`."""
     path.write_bytes(raw)
-    target = path.with_name(f"frames.{to}")
-    with (
-        FrameFile(str(path), RAW, protocol=protocol, ts_unit=ts_unit) as source,
-        target.open("wb") as file,
-    ):
-        return target, convert(source, file, to)
+    target = path.with_name(f"frames{SUFFIXES[to]}")
+    options = ReadOptions(protocol=protocol, ts_unit=ts_unit)
+    with Blocks(path, options, format=RAW) as source, target.open("wb") as file:
+        return target, convert_opened(source, file, to, WriteOptions())
 
 
 def encoded(
@@ -43,15 +44,16 @@ def encoded(
 ) -> tuple[bytes, Converted]:
     """Convert a file of frames into raw bytes."""
     out = io.BytesIO()
-    with FrameFile(str(path), format_of(str(path))) as source:
-        done = convert(source, out, RAW, protocol=protocol, ts_unit=ts_unit, strict=strict)
+    options = WriteOptions(protocol=protocol, ts_unit=ts_unit, strict=strict)
+    with Blocks(path, ReadOptions()) as source:
+        done = convert_opened(source, out, RAW, options)
     return out.getvalue(), done
 
 
 def saved(path: Path, *blocks: FrameArray) -> Path:
     """Write a file of frames."""
     with path.open("wb") as file:
-        writer = BY_SUFFIX[path.suffix].Writer(file)
+        writer = find_format(format_of_name(path.name) or "").write(file, WriteOptions())
         for frames in blocks:
             writer.write(frames)
         writer.finish()
@@ -97,28 +99,25 @@ def test_frames_come_back_from_every_format_by_way_of_every_other(
     tmp_path: Path, to: str, back: str
 ) -> None:
     frames = vehicle(1)
-    first = saved(tmp_path / f"first.{to}", frames)
-    second = tmp_path / f"second.{back}"
-    with FrameFile(str(first), to) as source, second.open("wb") as file:
-        assert convert(source, file, back) == Converted(frames=len(frames))
-    with FrameFile(str(second), back) as source:
-        assert np.concatenate(list(source)).tobytes() == frames.tobytes()
+    first = saved(tmp_path / f"first{SUFFIXES[to]}", frames)
+    second = tmp_path / f"second{SUFFIXES[back]}"
+    assert canser.convert(first, second) == Converted(frames=len(frames))
+    assert canser.read(second).tobytes() == frames.tobytes()
 
 
 @pytest.mark.parametrize("to", FORMATS)
 def test_no_frames_convert_to_none(tmp_path: Path, to: str) -> None:
-    path = saved(tmp_path / f"x.{to}", array())
+    path = saved(tmp_path / f"x{SUFFIXES[to]}", array())
     assert encoded(path, "serial") == (b"", Converted())
     path, done = decoded(tmp_path / "run.bin", b"", "serial", to)
     assert done == Converted()
-    with FrameFile(str(path), to) as source:
-        assert list(source) == []
+    assert listed(canser.blocks(path)) == []
 
 
 def test_a_log_remarks_the_times_that_it_cannot_hold(tmp_path: Path) -> None:
     path = saved(tmp_path / "x.npy", timed(NO_TIME, NO_TIME, 1, MICROSECOND, SECOND + 999))
-    with FrameFile(str(path), "npy") as source:
-        done = convert(source, io.BytesIO(), "log")
+    with Blocks(path, ReadOptions()) as source:
+        done = convert_opened(source, io.BytesIO(), "candump", WriteOptions())
     assert done.remarks == [
         "frames without a time, written as 0: 2",
         "times cut to the microsecond: 2",
@@ -228,30 +227,27 @@ def test_a_file_of_which_nothing_can_be_carried_is_an_error(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("path", "given", "expected"),
+    ("path", "expected"),
     [
-        ("run.log", None, "log"),
-        ("run.NPY", None, "npy"),
-        ("folder.csv/run", None, "raw"),
-        ("run.bin", None, "raw"),
-        ("-", None, "raw"),
-        ("run.log", "raw", "raw"),
-        ("-", "csv", "csv"),
+        ("run.log", "candump"),
+        ("run.NPY", "npy"),
+        ("folder.csv/run", None),
+        ("run.bin", "raw"),
+        ("run.pcapng", "pcapng"),
+        ("-", None),
     ],
 )
-def test_the_format_is_the_given_one_or_that_of_the_suffix(
-    path: str, given: str | None, expected: str
-) -> None:
-    assert format_of(path, given) == expected
+def test_the_format_of_a_name(path: str, expected: str | None) -> None:
+    assert format_of_name(path) == expected
 
 
 def test_a_file_of_raw_bytes_keeps_its_decoder(tmp_path: Path) -> None:
     path = tmp_path / "run.bin"
     path.write_bytes(b"\0" + canser.encode(traffic("seeed"), "seeed"))
-    with FrameFile(str(path), RAW, protocol="seeed") as source:
+    with canser.blocks(path, "seeed") as source:
         assert listed(source) == listed(canser.read(path, "seeed"))
-        assert source.decoder is not None
-        assert source.decoder.stats.bytes_skipped == 1
+        assert source.stats is not None
+        assert source.stats.bytes_skipped == source.decoder.stats.bytes_skipped == 1
 
 
 @pytest.mark.parametrize("protocol", [None, "seed"])
@@ -260,14 +256,14 @@ def test_a_call_that_is_wrong_leaves_no_file_open(tmp_path: Path, protocol: str 
     path.write_bytes(b"")
     # A file that is left open is a warning, and warnings are errors here.
     with pytest.raises(ValueError, match="protocol"):
-        FrameFile(str(path), RAW, protocol=protocol)
+        canser.blocks(path, protocol)
 
 
 def test_an_error_of_a_format_has_the_name_of_the_file(tmp_path: Path) -> None:
     path = tmp_path / "x.csv"
     path.write_bytes(b"nothing")
     with (
-        FrameFile(str(path), "csv") as source,
+        canser.blocks(path) as source,
         pytest.raises(FormatError, match=re.escape(str(path))),
     ):
         next(source)

@@ -44,12 +44,12 @@ def written(*frames: Frame) -> bytes:
 
 def read(text: bytes) -> list[Frame]:
     """Return the frames; remarks are not looked at."""
-    return listed(candump.read(io.BytesIO(text), "x.log", lambda _: None))
+    return listed(candump.parse(io.BytesIO(text), "x.log", lambda _: None))
 
 
 def remarks(text: bytes) -> list[str]:
     told: list[str] = []
-    list(candump.read(io.BytesIO(text), "x.log", told.append))
+    list(candump.parse(io.BytesIO(text), "x.log", told.append))
     return told
 
 
@@ -248,7 +248,7 @@ def test_what_python_can_writes_is_read() -> None:
 
 def test_a_line_without_an_end_is_an_error_and_not_all_of_memory() -> None:
     with pytest.raises(FormatError, match=r"line 2: has no end; is it raw bytes\?"):
-        list(candump.read(io.BytesIO(b"(0.0) can0 123#\n" + bytes(1 << 20)), "x.log"))
+        list(candump.parse(io.BytesIO(b"(0.0) can0 123#\n" + bytes(1 << 20)), "x.log"))
 
 
 TWO = (
@@ -268,7 +268,7 @@ def test_what_frames_do_not_hold_is_told_with_its_counts() -> None:
 
 
 def test_in_python_it_is_a_warning_once_at_the_end() -> None:
-    blocks = candump.read(io.BytesIO(TWO * 10_000), "x.log")
+    blocks = candump.parse(io.BytesIO(TWO * 10_000), "x.log")
     first = next(blocks)  # a warning is an error here
     with pytest.warns(CanserWarning) as caught:
         rest = sum(map(len, blocks))
@@ -311,7 +311,7 @@ def test_channels_without_end_take_no_memory() -> None:
     told: list[str] = []
     tracemalloc.start()
     try:
-        for _ in candump.read(Endless(), "x.log", told.append):
+        for _ in candump.parse(Endless(), "x.log", told.append):
             pass
         _, peak = tracemalloc.get_traced_memory()
     finally:

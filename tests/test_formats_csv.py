@@ -43,12 +43,12 @@ def written(*frames: Frame) -> bytes:
 
 def read(text: bytes) -> list[Frame]:
     """Return the frames; remarks are not looked at."""
-    return listed(csv.read(io.BytesIO(text), "x.csv", lambda _: None))
+    return listed(csv.parse(io.BytesIO(text), "x.csv", lambda _: None))
 
 
 def remarks(text: bytes) -> list[str]:
     told: list[str] = []
-    list(csv.read(io.BytesIO(text), "x.csv", told.append))
+    list(csv.parse(io.BytesIO(text), "x.csv", told.append))
     return told
 
 
@@ -106,7 +106,7 @@ def test_channels_and_directions_are_counted() -> None:
     ]
     assert remarks(text.replace(b"can1,Tx", b"can0,")) == []
     with pytest.warns(CanserWarning, match=r"^x\.csv: frames of 2 channels become one: 1 1, 2 1$"):
-        list(csv.read(io.BytesIO(b"channel," + HEADER + b"1" + ROW + b"2" + ROW), "x.csv"))
+        list(csv.parse(io.BytesIO(b"channel," + HEADER + b"1" + ROW + b"2" + ROW), "x.csv"))
 
 
 ROW = b",0,0x1,0,0,0,0,\n"

@@ -44,7 +44,7 @@ def written(*blocks: canser.FrameArray) -> bytes:
 
 def read(raw: bytes) -> list[Frame]:
     # A reader that never ends shows as a failure and not as a test that hangs.
-    blocks = list(islice(npy.read(io.BytesIO(raw), "x.npy", lambda _: None), 10))
+    blocks = list(islice(npy.parse(io.BytesIO(raw), "x.npy", lambda _: None), 10))
     assert len(blocks) < 10, "the reader does not end"
     return listed(blocks)
 
@@ -60,7 +60,7 @@ def test_blocks_are_one_array() -> None:
 
 def test_more_frames_than_a_block_are_read() -> None:
     frames = np.tile(TRAFFIC, 65_536 // len(TRAFFIC) + 1)
-    blocks = list(npy.read(io.BytesIO(written(frames)), "x.npy"))
+    blocks = list(npy.parse(io.BytesIO(written(frames)), "x.npy"))
     assert len(blocks) == 2
     assert np.concatenate(blocks).tobytes() == frames.tobytes()
 
@@ -174,11 +174,11 @@ def test_bytes_behind_the_array_are_told() -> None:
     """As of two files that were joined: np.load passes over the second one without a word."""
     told: list[str] = []
     whole = written(TRAFFIC)
-    frames = listed(npy.read(io.BytesIO(whole * 2), "x.npy", told.append))
+    frames = listed(npy.parse(io.BytesIO(whole * 2), "x.npy", told.append))
     assert frames == listed(TRAFFIC)
     assert told == [f"bytes behind the array, which are not read: {len(whole):,}"]
     with pytest.warns(CanserWarning, match=r"^x\.npy: bytes behind the array"):
-        list(npy.read(io.BytesIO(whole + b"1"), "x.npy"))
+        list(npy.parse(io.BytesIO(whole + b"1"), "x.npy"))
 
 
 def test_a_negative_count_of_frames_is_a_format_error() -> None:

@@ -64,7 +64,7 @@ REFUSED = {
 
 
 def reader(name: str) -> Callable[..., Any]:
-    return csv.read if name.endswith(".csv") else candump.read
+    return csv.parse if name.endswith(".csv") else candump.parse
 
 
 def read(name: str, raw: bytes) -> tuple[list[Frame], list[str]]:

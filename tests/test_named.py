@@ -15,8 +15,8 @@ import canser
 from canser._input import Input
 from canser._named import named
 from canser._output import whole_file
+from canser.commands._source import opened
 from canser.commands.cli import main
-from canser.files.frame_file import FrameFile
 from canser.recording.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
 
@@ -66,7 +66,7 @@ def test_the_standard_input_has_that_name(monkeypatch: pytest.MonkeyPatch) -> No
     broken.name = "<stdin>"
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(broken))
     with pytest.raises(OSError, match=r"Input/output error: 'standard input'"):
-        FrameFile("-", "raw").__enter__()
+        canser.read(opened(["-"]))
 
 
 @posix
@@ -130,11 +130,11 @@ READERS = {
     "convert from csv": ["convert", "NAME", "out.npy", "--from", "csv"],
     "recover": ["recover", "NAME", "out.pcapng"],
     "play": ["play", "NAME", "-c", "/dev/nothing", "-p", "seeed"],
-    "play a log": ["play", "NAME", "-c", "/dev/nothing", "-p", "seeed", "--from", "log"],
+    "play a log": ["play", "NAME", "-c", "/dev/nothing", "-p", "seeed", "--from", "candump"],
     "simulate": ["simulate", "-p", "seeed", "--traffic", "NAME"],
 }
 WRITERS = {
-    "convert": ["convert", "run.bin", "NAME", "-p", "seeed", "--to", "log", "--force"],
+    "convert": ["convert", "run.bin", "NAME", "-p", "seeed", "--to", "candump", "--force"],
     "convert to raw": ["convert", "run.npy", "NAME", "-p", "seeed", "--to", "raw", "--force"],
     "recover": ["recover", "run.pcapng", "NAME", "--force"],
     "copy": ["simulate", "-p", "seeed", "--copy", "NAME", "--force"],

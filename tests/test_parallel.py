@@ -26,14 +26,15 @@ from hypothesis import strategies as st
 
 import canser
 import reference
-from canser import codec
 from canser._core.buffers import Offsets, input_bytes, output_room
 from canser._core.stream import Chunk, Stream
 from canser._core.table import find_protocol
 from canser._frames import FRAME_DTYPE, FrameArray
+from canser._input import Source
+from canser.codec import decoder as codec
 from canser.codec import parallel, sinks
 from canser.codec.parallel import Ahead
-from canser.files import captures
+from canser.files import raw as raw_format
 from canser.simulation.traffic import line_noise, vehicle
 from reference import ID_EXT_MAX, ID_MAX, TICK_NS, Frame
 
@@ -495,7 +496,7 @@ def test_no_helper_takes_what_the_stream_has_passed(monkeypatch: pytest.MonkeyPa
 def test_a_decoder_that_others_feed_is_an_error(
     meddle: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(captures, "BLOCK_FRAMES", 100)
+    monkeypatch.setattr(raw_format, "BLOCK_FRAMES", 100)
     path = tmp_path / "run.bin"
     path.write_bytes(canser.encode(vehicle(30, extended=False), "seeed"))
     with canser.blocks(path, "seeed", threads=2) as blocks:
@@ -549,7 +550,7 @@ def assert_let_go(path: Path) -> None:
     assert str(path.resolve()) not in held
 
 
-def taken(blocks: captures.Blocks, offsets: Any = None) -> tuple[FrameArray, list[int]]:
+def taken(blocks: canser.Blocks, offsets: Any = None) -> tuple[FrameArray, list[int]]:
     got, at = [np.empty(0, FRAME_DTYPE)], []
     for block in blocks:
         assert len(block) > 0
@@ -654,11 +655,11 @@ def test_progress_with_threads(room: int | None, tmp_path: Path) -> None:
 def test_a_run_that_is_ended_early(
     room: int | None, taken_before: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(captures, "BLOCK_FRAMES", 30)
+    monkeypatch.setattr(raw_format, "BLOCK_FRAMES", 30)
     path = tmp_path / "run.bin"
     path.write_bytes(capture("serial"))
 
-    def begun(source: captures.Source = path) -> captures.Blocks:
+    def begun(source: Source = path) -> canser.Blocks:
         out = None if room is None else np.empty(room, FRAME_DTYPE)
         blocks = canser.blocks(source, "serial", out=out, threads=4)
         for _ in range(taken_before):
@@ -936,7 +937,7 @@ def test_a_run_that_is_collected_by_a_helper(
         gc.collect()
         real_decode(*arguments)
 
-    monkeypatch.setattr(captures, "BLOCK_FRAMES", 10)
+    monkeypatch.setattr(raw_format, "BLOCK_FRAMES", 10)
     monkeypatch.setattr(Chunk, "decode", decode)
     with path.open("rb") as file:
         blocks = canser.blocks(file, "serial", threads=3)
@@ -961,8 +962,8 @@ def test_the_interpreter_ends_while_helpers_wait(end: str, tmp_path: Path) -> No
     code = (
         "import sys, time, canser\n"
         "from canser.codec import decoder, parallel\n"
-        "from canser.files import captures\n"
-        "captures.BLOCK_FRAMES = 100\n"
+        "from canser.files import raw\n"
+        "raw.BLOCK_FRAMES = 100\n"
         "decoder.STRETCH = parallel.STRETCH = parallel._STRETCH_LEAST = 1 << 14\n"
         "parallel.count_cores = lambda: 4\n"
         "blocks = canser.blocks(sys.argv[1], 'serial', threads=4)\n"

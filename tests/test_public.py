@@ -13,6 +13,10 @@ import canser
 NAMES = [
     "AdapterReport",
     "Blocks",
+    "Converted",
+    "FileInfo",
+    "convert",
+    "write",
     "CanserError",
     "CanserWarning",
     "ClockEstimate",

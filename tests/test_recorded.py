@@ -145,11 +145,12 @@ def test_a_frame_does_not_reach_over_a_gap(tmp_path: Path) -> None:
     together = [(one, EPOCH, 0), (other, EPOCH + MS, 0)]
     assert len(canser.read(record(tmp_path / "a.pcapng", together))) == 1
     apart = [(one, EPOCH, 0), (other, EPOCH + MS, 1), (frame, EPOCH + 2 * MS, 0)]
-    blocks = canser.blocks(record(tmp_path / "b.pcapng", apart))
+    path = record(tmp_path / "b.pcapng", apart)
+    blocks = canser.blocks(path)
     (block,) = blocks
     assert len(block) == 1
     assert blocks.decoder.stats.bytes_skipped == len(frame)
-    assert blocks.remarks == ["gaps in the recording: 1, bytes lost: 1"]
+    assert blocks.remarks == [f"{path}: gaps in the recording: 1, bytes lost: 1"]
 
 
 def test_pieces_of_all_sizes_between_gaps(tmp_path: Path) -> None:
@@ -165,12 +166,14 @@ def test_pieces_of_all_sizes_between_gaps(tmp_path: Path) -> None:
         at += len(data)
         pieces.append((data, EPOCH + step * 1000 * MS, lost))
     assert at < len(raw)
-    got = canser.blocks(record(tmp_path / "run.pcapng", pieces))
+    path = record(tmp_path / "run.pcapng", pieces)
+    got = canser.blocks(path)
     want = np.concatenate([canser.decode(run, "seeed") for run in runs])
     frames = np.concatenate(list(got))
     assert np.array_equal(untimed(frames), untimed(want))
     assert np.all(np.diff(frames["ts"]) >= 0)
-    assert got.remarks == [f"gaps in the recording: {len(runs) - 1}, bytes lost: {len(runs) - 1}"]
+    gaps = len(runs) - 1
+    assert got.remarks == [f"{path}: gaps in the recording: {gaps}, bytes lost: {gaps}"]
 
 
 def test_damage_is_left_out_and_told(tmp_path: Path) -> None:
@@ -195,7 +198,7 @@ def test_damage_is_left_out_and_told(tmp_path: Path) -> None:
     # A stray frame from the middle of two would be a new one.
     blocks_again = canser.blocks(hurt)
     assert sum(map(len, blocks_again)) == len(got)
-    assert [f"{hurt}: {remark}" for remark in blocks_again.remarks] == texts
+    assert blocks_again.remarks == texts
 
 
 def test_what_is_given_wins(tmp_path: Path) -> None:

@@ -63,7 +63,6 @@ REFUSED = {
     "an ASC log in cantalope": (ASC.encode(), "cantalope", BAD_DATA, "is a Vector ASC log"),
     "gzip": (gzip.compress(SEEED), "seeed", BAD_DATA, "packed by gzip"),
     "BLF": (b"LOGG" + NOISE, "cantalope", BAD_DATA, "BLF"),
-    "candump": (candump(FRAMES), "seeed", BAD_CALL, "read it with --from log"),
     "another protocol": (SEEED, "serial", BAD_DATA, "look like seeed (100%), not like serial"),
     "another protocol in cantalope": (SEEED, "cantalope", BAD_DATA, "look like seeed (100%)"),
     "noise": (NOISE, "cantalope", BAD_DATA, "look like no protocol"),

@@ -5,7 +5,7 @@ import threading
 import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import overload
 
 import numpy as np
@@ -32,7 +32,7 @@ from canser.codec.parallel import STRETCH, Ahead, limit_threads
 from canser.codec.sinks import FixedArray, GrowingArray, Sink
 from canser.errors import CanserWarning
 
-__all__ = ["Control", "Decoder", "Stats", "decode", "encode"]
+__all__ = ["Control", "Decoder", "Encoder", "Stats", "decode", "encode"]
 
 # A decoder keeps this many control packets that nobody has taken: 2 MiB, an
 # hour and more of pings ten times a second.
@@ -62,6 +62,17 @@ class Stats:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rejects", ReadOnlyDict(self.rejects))
+
+
+def add_stats(one: Stats, other: Stats) -> Stats:
+    """Return the counters of two streams together."""
+    rejects = {name: count + other.rejects[name] for name, count in one.rejects.items()}
+    counters = {
+        field.name: getattr(one, field.name) + getattr(other, field.name)
+        for field in fields(Stats)
+        if field.name != "rejects"
+    }
+    return Stats(rejects=rejects, **counters)
 
 
 class Decoder(Uncopied):
@@ -453,24 +464,25 @@ def encode(
     return room[: encode_into(row, unit, frames, room)].tobytes()
 
 
-def encode_blocks(
-    blocks: Iterable[FrameArray], protocol: str, *, ts_unit: str = "ms"
-) -> Iterator[npt.NDArray[np.uint8]]:
+class Encoder:
     """Encode one array of frames after the other, as `encode` does.
 
-    Yields the bytes of each as an array of uint8 that is good until the next one. A
-    frame that the format cannot carry is named by its index over all arrays.
+    A frame that the format cannot carry is named by its index over all arrays.
     """
-    row = find_protocol(protocol)
-    unit = tick_ns(ts_unit)
-    room = np.empty(0, np.uint8)
-    first = 0
-    for frames in blocks:
-        needed = len(frames) * row.frame_max
-        if len(room) < needed:
-            room = np.empty(needed, np.uint8)
-        yield room[: encode_into(row, unit, frames, room, first=first)]
-        first += len(frames)
+
+    def __init__(self, protocol: str, *, ts_unit: str = "ms") -> None:
+        self._protocol, self._tick_ns = find_protocol(protocol), tick_ns(ts_unit)
+        self._room = np.empty(0, np.uint8)
+        self._first = 0
+
+    def encode(self, frames: FrameArray) -> npt.NDArray[np.uint8]:
+        """Return the bytes of frames; the array is good until the next call."""
+        needed = len(frames) * self._protocol.frame_max
+        if len(self._room) < needed:
+            self._room = np.empty(needed, np.uint8)
+        size = encode_into(self._protocol, self._tick_ns, frames, self._room, first=self._first)
+        self._first += len(frames)
+        return self._room[:size]
 
 
 def check_threads(threads: int) -> int:

@@ -2,21 +2,33 @@
 
 import argparse
 import contextlib
+import sys
 from collections.abc import Iterator
+from typing import BinaryIO
 
+from canser._input import Source
 from canser._progress import Progress
 from canser._protocols import TS_UNITS, protocols
 from canser.commands._parser import CallError, DataError, Parser, protocol_name, say
-from canser.errors import ForeignFormatError, NoProtocolError, WrongProtocolError
-from canser.files.frame_file import FORMATS, FrameFile, format_of
+from canser.errors import (
+    ForeignFormatError,
+    NoProtocolError,
+    StreamClosedError,
+    WrongProtocolError,
+)
+from canser.files.formats import format_names
 from canser.files.judge import AUTO, is_auto
+from canser.files.reader import ReadOptions
+from canser.files.reading import Blocks
 
 __all__ = [
     "ProtocolNeededError",
     "as_is_argument",
     "check_found",
     "open_source",
+    "opened",
     "options_named",
+    "read_options",
     "say_remarks",
     "source_arguments",
 ]
@@ -29,7 +41,12 @@ class ProtocolNeededError(CallError):
 def source_arguments() -> argparse.ArgumentParser:
     """Return the arguments that name a file of frames or raw bytes, IN."""
     source = Parser(add_help=False)
-    source.add_argument("source", metavar="IN", help="a file, or - for standard input")
+    source.add_argument(
+        "sources",
+        metavar="IN",
+        nargs="+",
+        help="a file, or - for standard input; several are one stream, in this order",
+    )
     source.add_argument(
         "-p",
         "--protocol",
@@ -45,8 +62,11 @@ def source_arguments() -> argparse.ArgumentParser:
     source.add_argument(
         "--from",
         dest="source_format",
-        choices=FORMATS,
-        help="format of IN (default: by its suffix; else raw bytes or a recording)",
+        choices=format_names(),
+        help="format of IN (default: by its content, else by its suffix, else raw bytes)",
+    )
+    source.add_argument(
+        "--sort", action="store_true", help="order all frames by their time, in memory"
     )
     as_is_argument(source)
     return source
@@ -67,16 +87,31 @@ def protocol_or_auto(name: str) -> str:
     return AUTO if is_auto(name) else protocol_name(name)
 
 
-def open_source(args: argparse.Namespace, progress: Progress | None = None) -> FrameFile:
+def opened(paths: list[str]) -> list[Source]:
+    """Return the files of these names, "-" for the standard input, as `Blocks` takes them."""
+    return [_standard_input() if path == "-" else path for path in paths]
+
+
+def _standard_input() -> BinaryIO:
+    if sys.stdin is None:
+        raise StreamClosedError("the standard input is closed; open it, or name a file")
+    return sys.stdin.buffer
+
+
+def read_options(args: argparse.Namespace) -> ReadOptions:
+    """Return how IN is to be read."""
+    return ReadOptions(protocol=args.protocol, ts_unit=args.ts_unit, as_is=args.as_is)
+
+
+def open_source(args: argparse.Namespace, progress: Progress | None = None) -> Blocks:
     """Open IN as the arguments say."""
     with options_named():
-        return FrameFile(
-            args.source,
-            format_of(args.source, args.source_format),
-            protocol=args.protocol,
-            ts_unit=args.ts_unit,
-            as_is=args.as_is,
+        return Blocks(
+            opened(args.sources),
+            read_options(args),
+            format=args.source_format,
             progress=progress,
+            sort=args.sort,
         )
 
 
@@ -93,17 +128,17 @@ def options_named() -> Iterator[None]:
         raise CallError(f"{error.what}; leave -p out, or accept it by --as-is") from None
     except ForeignFormatError as error:
         if error.option:
-            raise CallError(f"{error.what}: read it with --from {error.option}") from None
+            raise CallError(f"{error.what}; leave -p out, or read the bytes by --as-is") from None
         raise
 
 
-def check_found(source: FrameFile, *, as_is: bool) -> None:
+def check_found(source: Blocks, *, as_is: bool) -> None:
     """Raise DataError if the bytes are not of the protocol that they were read in."""
-    if source.decoder is None or as_is:
+    stats = source.stats
+    if stats is None or as_is:
         return
     if source.doubt:
         raise DataError(f"{source.doubt}; --as-is accepts them")
-    stats = source.decoder.stats
     if stats.bytes_in and not stats.frames and not stats.controls:
         raise DataError(
             f"no {source.decoder.protocol} frame in the {stats.bytes_in:,} bytes of "
@@ -111,7 +146,7 @@ def check_found(source: FrameFile, *, as_is: bool) -> None:
         )
 
 
-def say_remarks(source: FrameFile) -> None:
-    """Print on standard error what is to be known of a file."""
-    for remark in source.remarks:
-        say(f"{source.name}: {remark}")
+def say_remarks(source: Blocks) -> None:
+    """Print on standard error what is to be known of files."""
+    for remark in [*source.findings, *source.remarks]:
+        say(remark)

@@ -1,19 +1,24 @@
 """Frames that are to be sent: judged before they go out, for false ones do harm on a bus."""
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Self
 
 from canser._frames import FrameArray
+from canser.codec.decoder import Decoder
 from canser.codec.doubt import LEAST_BYTES, is_doubtful
 from canser.commands._parser import DataError
-from canser.commands._source import check_found, options_named
+from canser.commands._source import check_found, opened, options_named
 from canser.files.fits import identify
-from canser.files.frame_file import FrameFile, format_of
+from canser.files.formats import RAW
 from canser.files.judge import describe_fit
+from canser.files.reader import ReadOptions
+from canser.files.reading import Blocks
 
 __all__ = ["TrafficFile"]
 
 
-class TrafficFile(FrameFile):
+class TrafficFile(Iterator[FrameArray]):
     """A file of frames to send, "-" for the standard input; raw bytes are of `protocol`.
 
     What raw bytes are is judged when they are opened: DataError unless they fit the protocol, as
@@ -26,59 +31,64 @@ class TrafficFile(FrameFile):
     def __init__(
         self, path: str, file_format: str | None, *, protocol: str, ts_unit: str, as_is: bool
     ) -> None:
+        options = ReadOptions(protocol=protocol, ts_unit=ts_unit, as_is=as_is, raw_only=True)
         with options_named():
-            super().__init__(
-                path,
-                format_of(path, file_format),
-                protocol=protocol,
-                ts_unit=ts_unit,
-                as_is=as_is,
-                raw_only=True,
-            )
+            self.blocks = Blocks(opened([path]), options, format=file_format)
+        self.name = "standard input" if path == "-" else path
         self._as_is = as_is
         self._is_pipe = not Path(path).is_file()
         self._judged = (0, 0)  # bytes in and bytes skipped when a block was last judged
-        if self.decoder is None or self.recording is not None or as_is:
-            return
         try:
-            self._judge_raw()
+            with options_named():
+                raw = self.blocks.format == RAW  # a pipe is waited for
+            if raw and not as_is:
+                self._judge_raw(self.blocks.decoder)
         except BaseException:
-            self.__exit__()
+            self.blocks.close()
             raise
 
-    def _judge_raw(self) -> None:
-        assert self.decoder is not None
-        sample = self.sample()
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.blocks.close()
+
+    @property
+    def remarks(self) -> list[str]:
+        """What to know of the file so far, with its name."""
+        return [*self.blocks.findings, *self.blocks.remarks]
+
+    def _judge_raw(self, decoder: Decoder) -> None:
+        sample = self.blocks.sample()
         if not len(sample):
             return
         fit = identify(sample)[0]
-        if not fit.fits or fit.protocol != self.decoder.protocol:
+        if not fit.fits or fit.protocol != decoder.protocol:
             raise DataError(
                 f"{self.name}: these bytes look like {describe_fit(fit)}, not like "
-                f"{self.decoder.protocol}; nothing of them is sent; --as-is accepts them"
+                f"{decoder.protocol}; nothing of them is sent; --as-is accepts them"
             )
 
     def __next__(self) -> FrameArray:
         try:
-            frames = super().__next__()
+            frames = next(self.blocks)
         except StopIteration:
-            check_found(self, as_is=self._as_is)
+            check_found(self.blocks, as_is=self._as_is)
             raise
-        if self._is_pipe and self.decoder is not None and not self._as_is:
-            self._judge_block()
+        if self._is_pipe and self.blocks.stats is not None and not self._as_is:
+            self._judge_block(self.blocks.decoder)
         return frames
 
-    def _judge_block(self) -> None:
+    def _judge_block(self, decoder: Decoder) -> None:
         """Raise DataError if the bytes since the last block are not of the protocol."""
-        assert self.decoder is not None
-        bytes_in, skipped = self.decoder.position, self.decoder.skipped
+        bytes_in, skipped = decoder.position, decoder.skipped
         came, bad = bytes_in - self._judged[0], skipped - self._judged[1]
         if came < LEAST_BYTES:
             return
-        if is_doubtful(self.decoder.protocol, came, bad):
+        if is_doubtful(decoder.protocol, came, bad):
             raise DataError(
                 f"{self.name}: {bad / came:.0%} of the {came:,} bytes up to byte {bytes_in:,} are "
-                f"in no {self.decoder.protocol} packet; frames from there on are not sent; "
+                f"in no {decoder.protocol} packet; frames from there on are not sent; "
                 "--as-is accepts them"
             )
         self._judged = bytes_in, skipped

@@ -1,16 +1,24 @@
 """`canser convert`: from raw bytes or a recording to a file of frames, and back."""
 
 import argparse
+from typing import Any
 
 from canser._output import check_apart, whole_file
 from canser._progress import Progress
-from canser._protocols import protocols
 from canser.commands import _report as report
 from canser.commands._parser import GOOD, CallError, Commands, add_command, say
-from canser.commands._source import check_found, open_source, say_remarks, source_arguments
-from canser.files.conversion import convert
-from canser.files.frame_file import FORMATS, RAW, format_of
-from canser.files.judge import AUTO
+from canser.commands._source import (
+    check_found,
+    opened,
+    options_named,
+    read_options,
+    say_remarks,
+    source_arguments,
+)
+from canser.files.formats import RAW, format_names
+from canser.files.reading import Blocks
+from canser.files.writer import WriteOptions
+from canser.files.writing import BYTES, check_target, choose_target, convert_opened, open_to_convert
 
 __all__ = ["add"]
 
@@ -24,17 +32,27 @@ def add(commands: Commands) -> None:
         "  canser convert run.pcapng run.log\n"
         "  canser convert run.bin - -p seeed | grep ' 123#'\n"
         "  canser convert run.log run.bin -p serial --ts-unit us\n"
-        "  canser convert run.npy run.csv",
+        "  canser convert run.npy run.csv\n"
+        "  canser convert run.pcapng run.bin            the bytes of the line\n"
+        "  canser convert monday.log tuesday.log both.npy",
         run=run,
         parents=[source_arguments()],
     )
-    parser.add_argument("target", metavar="OUT", help="a file, or - for standard output")
+    target = parser.add_argument("target", metavar="OUT", help="a file, or - for standard output")
+    parser.add_argument(
+        "-o",
+        dest="output",
+        metavar="OUT",
+        action=_Output,
+        target=target,
+        help="OUT, where all the files before are IN",
+    )
     parser.add_argument(
         "--to",
         dest="target_format",
-        choices=FORMATS,
+        choices=format_names(),
         help="format of OUT (default: by its suffix, .bin for raw bytes; on standard "
-        "output log, or raw where IN holds frames)",
+        "output candump, or raw where IN holds frames)",
     )
     parser.add_argument("--force", action="store_true", help="replace OUT if it is there")
     parser.add_argument(
@@ -45,56 +63,76 @@ def add(commands: Commands) -> None:
     )
 
 
-def _target_format(args: argparse.Namespace) -> str:
-    """Return the format of OUT, or raise CallError where it makes no sense."""
-    source_format = format_of(args.source, args.source_format)
-    if args.target_format is not None:
-        chosen: str = args.target_format
-    elif args.target == "-":
-        chosen = "log" if source_format == RAW else RAW
-    else:
-        chosen = format_of(args.target)
-        if chosen == RAW and not args.target.lower().endswith((".bin", ".raw")):
-            raise CallError(
-                f"cannot tell the format of {args.target} by its suffix; use .npy, .csv or .log, "
-                ".bin for raw bytes, or --to"
-            )
-    if chosen == RAW and source_format == RAW:
-        raise CallError(
-            "IN and OUT are both raw bytes; convert to .npy, .csv or .log, and from there "
-            "to another protocol"
-        )
-    if chosen == RAW and args.protocol in (None, AUTO):
-        raise CallError(f"raw bytes need a protocol: name it with -p ({', '.join(protocols())})")
-    return chosen
+def _target_format(args: argparse.Namespace) -> str | None:
+    """Return the format of OUT, None where that of IN decides; CallError where none is plain."""
+    if args.target == "-" and args.target_format is None:
+        return None
+    try:
+        return choose_target(args.target, args.target_format)
+    except ValueError as error:
+        raise CallError(f"{error} by --to") from None
+
+
+class _Output(argparse.Action):
+    """Names OUT by an option: no argument behind IN is needed then."""
+
+    def __init__(self, *args: Any, target: argparse.Action, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._target = target
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,  # noqa: ARG002 - as argparse calls it
+        namespace: argparse.Namespace,
+        values: Any,
+        option: str | None = None,  # noqa: ARG002
+    ) -> None:
+        namespace.output = values
+        self._target.required = False
 
 
 def run(args: argparse.Namespace) -> int:
-    target_format = _target_format(args)
-    check_apart(args.target, args.source)
-    with (
-        Progress(f"converting {args.source}") as progress,
-        open_source(args, progress) as source,
-        whole_file(args.target, force=args.force) as target,
-    ):
-        done = convert(
-            *(source, target, target_format),
-            protocol=args.protocol,
-            ts_unit=args.ts_unit or "ms",
-            strict=args.strict,
+    if args.output is not None:
+        args.sources += [args.target] if args.target is not None else []
+        args.target = args.output
+    to = _target_format(args)
+    check_apart(args.target, *args.sources)
+    with Progress(f"converting {args.sources[0]}") as progress, _open(args, progress) as source:
+        if to is None:
+            to = "candump" if source.format in BYTES else RAW
+        try:
+            check_target(to, args.protocol, source.format)
+        except ValueError as error:
+            raise CallError(str(error)) from None
+        options = WriteOptions(
+            protocol=args.protocol, ts_unit=args.ts_unit or "ms", strict=args.strict
         )
-        stats = None if source.decoder is None else source.decoder.stats
-        check_found(source, as_is=args.as_is)
-    say(f"{args.source} -> {args.target}: {done.frames:,} frames")
+        with whole_file(args.target, force=args.force) as target:
+            done = convert_opened(source, target, to, options)
+            check_found(source, as_is=args.as_is)
+        stats = source.stats
+    inputs = ", ".join(args.sources)
+    say(f"{inputs} -> {args.target}: {done.frames:,} frames")
     if stats is not None:
         say(report.conservation(stats))
         if stats.bytes_skipped:
             say(f"skipped: {report.reject_text(stats)}; resyncs: {stats.resyncs:,}")
         if stats.controls:
             say(f"control packets, not in the output as they are no frames: {stats.controls:,}")
-    if target_format == RAW:
+    if to in BYTES:
         say(f"{done.frames:,} frames = {done.bytes_out:,} bytes out")
     for remark in done.remarks:
         say(remark)
     say_remarks(source)
     return GOOD
+
+
+def _open(args: argparse.Namespace, progress: Progress) -> Blocks:
+    with options_named():
+        return open_to_convert(
+            opened(args.sources),
+            read_options(args),
+            format=args.source_format,
+            progress=progress,
+            sort=args.sort,
+        )

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         for frames in source:
             writer.write(frames.compress(match(frames, *args.filters)))
             out.flush()
-        stats = None if source.decoder is None else source.decoder.stats
+        stats = source.stats
     if stats is not None and (stats.bytes_skipped or stats.controls):
         say(report.conservation(stats))
     say_remarks(source)

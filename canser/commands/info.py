@@ -9,7 +9,6 @@ import numpy as np
 from canser._progress import Progress
 from canser._protocols import protocols
 from canser.analysis.ids import Tally
-from canser.codec.decoder import Control
 from canser.commands import _report as report
 from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, show
 from canser.commands._source import (
@@ -20,7 +19,7 @@ from canser.commands._source import (
     source_arguments,
 )
 from canser.files.fits import Fit, identify
-from canser.files.frame_file import FrameFile
+from canser.files.reading import Blocks
 
 __all__ = ["add"]
 
@@ -41,12 +40,10 @@ def add(commands: Commands) -> None:
 
 def run(args: argparse.Namespace) -> int:
     tally = Tally()
-    with Progress(f"reading {args.source}") as progress, _open(args, progress) as source:
+    with Progress(f"reading {args.sources[0]}") as progress, _open(args, progress) as source:
         for frames in source:
             tally.add(frames)
-        stats, controls = None, list[Control]()
-        if source.decoder is not None:
-            stats, controls = source.decoder.stats, source.decoder.take_controls()
+        stats, controls = source.stats, source.take_controls()
     if source.recording is not None:
         show(report.recording_lines(source.recording))
     show(report.info_lines(tally, stats, controls))
@@ -55,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     return GOOD
 
 
-def _open(args: argparse.Namespace, progress: Progress) -> FrameFile:
+def _open(args: argparse.Namespace, progress: Progress) -> Blocks:
     """Open IN; raw bytes of which nobody said the protocol in the one that fits."""
     try:
         return open_source(args, progress)
@@ -66,20 +63,20 @@ def _open(args: argparse.Namespace, progress: Progress) -> FrameFile:
 
 def _identify(args: argparse.Namespace) -> Fit:
     """Print which protocol fits the bytes of IN; raise DataError if none does."""
-    mode = 0 if args.source == "-" else os.stat(args.source).st_mode  # noqa: PTH116
+    mode = 0 if args.sources[0] == "-" else os.stat(args.sources[0]).st_mode  # noqa: PTH116
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-        name = "standard input" if args.source == "-" else args.source
+        name = "standard input" if args.sources[0] == "-" else args.sources[0]
         raise CallError(
             f"{name} can be read only once: name its protocol with -p "
             f"({', '.join(protocols())}), or put it into a file first"
         )
-    if os.path.getsize(args.source) == 0:  # noqa: PTH202
-        raise DataError(f"{args.source} is empty")
-    raw = np.memmap(args.source, np.uint8, mode="r")
+    if os.path.getsize(args.sources[0]) == 0:  # noqa: PTH202
+        raise DataError(f"{args.sources[0]} is empty")
+    raw = np.memmap(args.sources[0], np.uint8, mode="r")
     fits = identify(raw)
     best = fits[0]
     show([*report.fit_lines(fits, len(raw)), ""])
     if not best.fits:
-        raise DataError(f"no protocol fits {args.source}; name it with -p if you know better")
+        raise DataError(f"no protocol fits {args.sources[0]}; name it with -p if you know better")
     show([f"protocol   {best.protocol}, which explains {best.score:.1%} of it beyond chance"])
     return best

@@ -15,7 +15,7 @@ from canser.commands._sending import Sender
 from canser.commands._source import as_is_argument
 from canser.commands._traffic import TrafficFile
 from canser.errors import CanserError
-from canser.files.frame_file import FORMATS, FrameFile
+from canser.files.formats import format_names
 from canser.live.player import Played, play
 
 __all__ = ["add"]
@@ -44,8 +44,8 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--from",
         dest="source_format",
-        choices=FORMATS,
-        help="format of IN (default: by its suffix; else raw bytes or a recording)",
+        choices=format_names(),
+        help="format of IN (default: by its content, else by its suffix, else raw bytes)",
     )
     pace = parser.add_mutually_exclusive_group()
     pace.add_argument(
@@ -132,7 +132,7 @@ class _Source:
                 raise self._refused(file.name, self._checked)
             say(f"{file.name}: {self._checked}; {self._args.protocol} cannot carry them")
 
-    def rounds(self, first: FrameFile) -> Iterator[Iterator[FrameArray]]:
+    def rounds(self, first: TrafficFile) -> Iterator[Iterator[FrameArray]]:
         """Yield the frames of each round."""
         self._name = first.name
         yield self._frames(first)
@@ -157,7 +157,7 @@ class _Source:
         if not self._stop:
             self._check_any(self._name, self._played)
 
-    def _frames(self, file: FrameFile) -> Iterator[FrameArray]:
+    def _frames(self, file: TrafficFile) -> Iterator[FrameArray]:
         self._expected += self._checked.left_out
         try:
             for frames in file:
@@ -169,12 +169,12 @@ class _Source:
             self._error = error
         self._tell_remarks(file)
 
-    def _tell_remarks(self, file: FrameFile) -> None:
+    def _tell_remarks(self, file: TrafficFile) -> None:
         """Tell each remark once, however often the file is read."""
         for remark in file.remarks:
             if remark not in self._told:
                 self._told.add(remark)
-                say(f"{file.name}: {remark}")
+                say(remark)
 
     def _check_any(self, name: str, found: Refusals) -> None:
         if not found.frames:
@@ -195,7 +195,7 @@ class _Source:
         return Refusals(self._args.protocol, times_given=True)
 
 
-def _open(args: argparse.Namespace) -> FrameFile:
+def _open(args: argparse.Namespace) -> TrafficFile:
     """Open IN; raw bytes are of the port's protocol, and a recording knows its own."""
     return TrafficFile(
         args.source,

@@ -306,7 +306,7 @@ class _File:
             yield from filter(len, map(self._refusals.keep, file))
         if not self._told_remarks:
             self._told_remarks = True
-            say_remarks(file)
+            say_remarks(file.blocks)
 
 
 def _carries_extended(protocol: str) -> bool:

@@ -20,15 +20,29 @@ known is written as 0. `Writer` counts both.
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from canser._frames import NO_TIME, FrameArray
+from canser._input import Input
 from canser.errors import FormatError
 from canser.files import _text
 from canser.files._remarks import Tell, Unkept, tell_all
+from canser.files.foreign import is_text
+from canser.files.reader import DecodedReader, Reader, ReadOptions
+from canser.files.writer import WriteOptions
+
+about: Final = "a candump log"
+
+suffixes: Final = (".log",)
+
+cannot_hold: Final = (
+    "times under a microsecond",
+    "whether a time is known",
+    "whether an error frame is extended, where its id is up to 0x7FF",
+)
 
 _ERR = 0x2000_0000
 
@@ -44,6 +58,25 @@ _LINE = re.compile(
     r"\((-?[0-9]+(?:\.[0-9]+)?)\)[ \t]+([^\s\0-\x1f\x7f]+)[ \t]+"
     rf"{_FRAME_PATTERN}(?:[ \t]+([RT]))?"
 )
+
+
+# The start of a line.
+_BEGIN: Final = re.compile(rb"^\(\d+\.\d+\) +\S+ +[0-9A-Fa-f]+#", re.MULTILINE)
+
+
+def sniff(head: bytes) -> bool:
+    """Return whether these first bytes of a file have a line of a log."""
+    return is_text(head) and bool(_BEGIN.search(head))
+
+
+def read(source: Input, options: ReadOptions) -> Reader:
+    """Open a log."""
+    return DecodedReader(source, options, parse)
+
+
+def write(file: BinaryIO, options: WriteOptions) -> "Writer":  # noqa: ARG001 - as every format
+    """Begin a log."""
+    return Writer(file)
 
 
 class Writer:
@@ -94,7 +127,7 @@ class Writer:
         return [f"{what}: {count:,}" for what, count in remarks.items() if count]
 
 
-def read(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[FrameArray]:
+def parse(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[FrameArray]:
     """Yield the frames of a log, block by block.
 
     `file`: open for reading bytes; `name`: what messages call it. `tell` is called at the end

@@ -21,9 +21,19 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 
 from canser._frames import NO_TIME, FrameArray
+from canser._input import Input
 from canser.errors import FormatError
 from canser.files import _text
 from canser.files._remarks import Tell, Unkept, tell_all
+from canser.files.foreign import is_text
+from canser.files.reader import DecodedReader, Reader, ReadOptions
+from canser.files.writer import WriteOptions
+
+about: Final = "a CSV file of python-can"
+
+suffixes: Final = (".csv",)
+
+cannot_hold: Final = ()
 
 COLUMNS: Final = ("timestamp", "arbitration_id", "extended", "remote", "error", "dlc", "data")
 
@@ -39,6 +49,21 @@ _FLAGS: Final = {"0": False, "1": True, "false": False, "true": True}
 _BASE64: Final = np.frombuffer(
     b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/", np.uint8
 )
+
+
+def sniff(head: bytes) -> bool:
+    """Return whether these first bytes of a file are the header that python-can writes."""
+    return is_text(head) and bool(re.match(rb"(?:\xef\xbb\xbf)?timestamp, ?arbitration.id,", head))
+
+
+def read(source: Input, options: ReadOptions) -> Reader:
+    """Open a file."""
+    return DecodedReader(source, options, parse)
+
+
+def write(file: BinaryIO, options: WriteOptions) -> "Writer":  # noqa: ARG001 - as every format
+    """Begin a file."""
+    return Writer(file)
 
 
 class Writer:
@@ -101,7 +126,7 @@ def _base64(frames: FrameArray) -> _text.Column:
     return text
 
 
-def read(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[FrameArray]:
+def parse(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[FrameArray]:
     """Yield the frames of a file, block by block.
 
     `file`: open for reading bytes; `name`: what messages call it. `tell` is called at the end

@@ -1,9 +1,9 @@
-"""Files that hold no raw bytes of an adapter: named by their first bytes, with what reads them."""
+"""Formats that canser does not read: named by their first bytes, with what reads them."""
 
 import re
 from typing import Final, NamedTuple
 
-__all__ = ["HEAD_LEN", "Foreign", "recognise"]
+__all__ = ["HEAD_LEN", "TEXT", "Foreign", "is_text", "recognise"]
 
 # So many first bytes of a file are looked at.
 HEAD_LEN: Final = 4096
@@ -17,19 +17,16 @@ _NOT_ASCII: Final = 0.1
 
 
 class Foreign(NamedTuple):
-    """A format that is not raw bytes."""
+    """A format that canser does not read."""
 
-    name: str
+    about: str
     remedy: str  # what reads it
-    option: str = ""  # how `--from` names it, if the commands read it
 
 
 _PYTHON_CAN: Final = "python-can converts it: can_logconvert FILE run.log"
 _UNPACK: Final = "unpack it first"
 
-_LOG: Final = Foreign("a candump log", "'canser convert FILE run.npy' reads it", "log")
-_CSV: Final = Foreign("a CSV file of python-can", "'canser convert FILE run.npy' reads it", "csv")
-_TEXT: Final = Foreign("a text", "canser does not know what it holds")
+TEXT: Final = Foreign("a text", "canser does not know what it holds")
 
 # Formats by how a file begins.
 _MAGICS: Final = (
@@ -41,10 +38,6 @@ _MAGICS: Final = (
     (b"LOGG", Foreign("a Vector BLF log", _PYTHON_CAN)),
     (b"MDF     ", Foreign("an ASAM MF4 log", _PYTHON_CAN)),
     (b"UnFinMF ", Foreign("an ASAM MF4 log", _PYTHON_CAN)),
-    (
-        b"\x93NUMPY",
-        Foreign("a .npy file of numpy", "'canser info FILE' or numpy.load reads it", "npy"),
-    ),
     (b"\xd4\xc3\xb2\xa1", Foreign("a pcap file", "Wireshark reads it")),
     (b"\xa1\xb2\xc3\xd4", Foreign("a pcap file", "Wireshark reads it")),
     (b"\x4d\x3c\xb2\xa1", Foreign("a pcap file", "Wireshark reads it")),
@@ -62,7 +55,6 @@ _TEXTS: Final = tuple(
         (rb"\A\s*;(\$FILEVERSION|##|---)", Foreign("a PCAN TRC log", _PYTHON_CAN)),
         (rb"\A@ TEXT @", Foreign("a CANHacker log", "CANHacker reads it")),
         (rb"\A\*\*\*BUSMASTER", Foreign("a BUSMASTER log", "BUSMASTER reads it")),
-        (rb"\Atimestamp, ?arbitration_id,", _CSV),
         (rb"\ATime Stamp,ID,", Foreign("a GVRET log of SavvyCAN", "SavvyCAN saves it as candump")),
         (
             rb"\ATimestamp(Epoch)?[;,]Bus",
@@ -72,7 +64,6 @@ _TEXTS: Final = tuple(
             rb"\Aversion https://git-lfs",
             Foreign("a pointer of Git LFS", "'git lfs pull' fetches the file itself"),
         ),
-        (rb"^\(\d+\.\d+\) +\S+ +[0-9A-Fa-f]+#", _LOG),
         (
             rb"^ *(\([^)]*\))? *\S+ +([RT]X +\S+ +\S+ +)?[0-9A-F]{3,8} +\[\d+\] ",
             Foreign("what candump prints on a screen", "record it with 'candump -L'"),
@@ -82,20 +73,20 @@ _TEXTS: Final = tuple(
 
 
 def recognise(head: bytes) -> Foreign | None:
-    """Return the format of a file by its first bytes, None for raw bytes of an adapter.
+    """Return the format of a file by its first bytes, None where they do not tell.
 
-    HEAD_LEN bytes are enough. pcapng is left to the reader of recordings.
+    HEAD_LEN bytes are enough. TEXT is any text of which no more is known.
     """
     for magic, found in _MAGICS:
         if head.startswith(magic):
             return found
     head = head[:HEAD_LEN].removeprefix(b"\xef\xbb\xbf")
-    if not _is_text(head):
+    if not is_text(head):
         return None
-    return next((found for pattern, found in _TEXTS if pattern.search(head)), _TEXT)
+    return next((found for pattern, found in _TEXTS if pattern.search(head)), TEXT)
 
 
-def _is_text(head: bytes) -> bool:
+def is_text(head: bytes) -> bool:
     """Return whether these bytes are lines of text."""
     head = head.rstrip(b"\0")  # some systems leave zeros behind a text when the power goes
     if len(head) < _TEXT_LEAST or not re.search(rb"[\r\n]", head):

@@ -1,8 +1,182 @@
-"""The formats of files, by the suffix of their names."""
+"""The formats of files: those of canser, and those that other packages add.
 
-from canser.files import candump, csv, npy
+A format is a module, or another object, with
 
-__all__ = ["BY_SUFFIX"]
+- `suffixes`: how names of its files end, such as `(".log",)`, the first one its own;
+- `sniff(head)`: whether these first bytes of a file are plainly its own;
+- `read(source, options)`: a `Reader`;
+- `write(file, options)`: a `Writer`; None for a format that canser only reads;
+- `cannot_hold`: what it has no place for, in words;
+- `about`: what a file of it is, such as "a candump log".
 
-# The suffix of a file's name, and the module that knows the format.
-BY_SUFFIX = {".npy": npy, ".csv": csv, ".log": candump}
+Other packages add formats by entry points of the group `canser.formats`, named as the format.
+There `read(file, name, tell)` takes a file open for reading bytes, what messages call it, and a
+function that takes remarks. It yields arrays of FRAME_DTYPE. `write(file)` returns a `Writer`.
+"""
+
+import shlex
+import warnings
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import PurePath
+from typing import Any, BinaryIO, Final
+
+from canser._input import Input
+from canser.errors import CanserWarning, ForeignFormatError
+from canser.files import candump, csv, npy, raw, recordings
+from canser.files.foreign import HEAD_LEN, TEXT, recognise
+from canser.files.judge import is_auto
+from canser.files.reader import DecodedReader, Reader, ReadOptions
+from canser.files.writer import WriteOptions, Writer
+from canser.recording.recording import starts_recording
+
+__all__ = [
+    "PCAPNG",
+    "RAW",
+    "Format",
+    "choose_format",
+    "find_format",
+    "format_names",
+    "format_of_name",
+]
+
+RAW: Final = "raw"
+PCAPNG: Final = "pcapng"
+
+_GROUP: Final = "canser.formats"
+
+
+# What a format has is in this module's docstring.
+Format = Any
+
+# Modules have what a format has; a type checker cannot see that of a module.
+_BUILT_IN: Final[dict[str, Any]] = {
+    RAW: raw,
+    PCAPNG: recordings,
+    "candump": candump,
+    "csv": csv,
+    "npy": npy,
+}
+
+
+class _Added:
+    """A format that another package adds."""
+
+    def __init__(self, name: str, module: Any) -> None:
+        self._module = module
+        self.about = str(getattr(module, "about", f"a {name} file"))
+        self.suffixes = tuple(module.suffixes)
+        self.cannot_hold = tuple(getattr(module, "cannot_hold", ()))
+        self.sniff = module.sniff
+        self.write = self._write if getattr(module, "write", None) is not None else None
+
+    def read(self, source: Input, options: ReadOptions) -> Reader:
+        return DecodedReader(source, options, self._module.read)
+
+    def _write(self, file: BinaryIO, options: WriteOptions) -> Writer:  # noqa: ARG002
+        writer: Writer = self._module.write(file)
+        return writer
+
+
+@cache
+def _all() -> dict[str, Format]:
+    """Return all formats by their names; those of canser win."""
+    formats = dict(_BUILT_IN)
+    for point in entry_points(group=_GROUP):
+        added = _load(point)
+        if added is not None:
+            formats.setdefault(point.name, added)
+    return formats
+
+
+def _load(point: EntryPoint) -> Format | None:
+    try:
+        return _Added(point.name, point.load())
+    except Exception as error:  # noqa: BLE001 - a package of others may raise anything
+        warnings.warn(
+            f"the format {point.name!r} of {point.value} cannot be used: "
+            f"{type(error).__name__}: {error}",
+            CanserWarning,
+            stacklevel=2,
+        )
+        return None
+
+
+def format_names() -> tuple[str, ...]:
+    """Return the names of all formats."""
+    return tuple(_all())
+
+
+def find_format(name: str) -> Format:
+    """Return the format of a name, or raise ValueError."""
+    found = _BUILT_IN.get(name) if isinstance(name, str) else None
+    if found is None and name in _all():
+        found = _all()[name]
+    if found is None:
+        raise ValueError(f"unknown format {name!r}; have: {', '.join(_all())}")
+    return found
+
+
+def format_of_name(path: str) -> str | None:
+    """Return the name of the format that a file's name ends as, None for any other."""
+    suffix = PurePath(path).suffix.lower()
+    for formats in (_BUILT_IN, _all()):
+        for name, each in formats.items():
+            if suffix and suffix in each.suffixes:
+                return name
+        if not suffix:
+            break
+    return None
+
+
+def choose_format(source: Input, options: ReadOptions, given: str | None) -> str:
+    """Return the name of a file's format: the given one, else by its content, else its name.
+
+    A pipe is waited for only as long as it takes to tell. ForeignFormatError for a format that
+    canser does not read, and for one that holds frames where a protocol of raw bytes is given.
+    """
+    if given is not None:
+        find_format(given)
+        return given
+    if starts_recording(source):
+        return PCAPNG
+    given_raw = options.protocol is not None and not is_auto(options.protocol)
+    forced = given_raw and not options.raw_only
+    if forced and options.as_is:
+        return RAW
+    head = _head(source, wait=options.protocol is None)
+    found = _sniffed(head, added=options.protocol is None)
+    if found is not None:
+        if forced:
+            what = f"{source.name} is {find_format(found).about}, not raw bytes"
+            raise ForeignFormatError(f"{what}; leave the protocol out", what=what, option=found)
+        return found
+    foreign = recognise(head)
+    by_name = format_of_name(source.name) if not forced else None
+    if (
+        foreign is not None
+        and not options.as_is
+        and (foreign is not TEXT or by_name in (None, RAW))
+    ):
+        what = f"{source.name} is {foreign.about}, not raw bytes"
+        remedy = foreign.remedy.replace("FILE", shlex.quote(source.name))
+        raise ForeignFormatError(f"{what}; {remedy}", what=what, option="")
+    # A name in .pcapng alone makes no recording: the reader of raw bytes says what it finds.
+    return RAW if by_name in (None, PCAPNG) else by_name
+
+
+def _head(source: Input, *, wait: bool) -> bytes:
+    """Return the first bytes of a file; of a pipe the first line, or what is at hand."""
+    if source.size is None and wait:
+        size = 1
+        while len(head := source.at(0, size)) == size < HEAD_LEN and b"\n" not in bytes(head):
+            size += 64
+    return bytes(source.some(0)[:HEAD_LEN])
+
+
+def _sniffed(head: bytes, *, added: bool) -> str | None:
+    for formats in (_BUILT_IN, _all() if added else {}):
+        for name, each in formats.items():
+            if name != PCAPNG and each.sniff(head):
+                return name
+    return None

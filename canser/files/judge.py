@@ -1,6 +1,5 @@
 """What the bytes of a file are: by how they begin, by what fits them, by what was skipped."""
 
-import shlex
 from typing import Final
 
 from canser._core.buffers import BytesLike
@@ -8,9 +7,8 @@ from canser._input import Input
 from canser._protocols import protocols
 from canser.codec.decoder import Decoder
 from canser.codec.doubt import is_doubtful
-from canser.errors import ForeignFormatError, NoProtocolError
+from canser.errors import NoProtocolError
 from canser.files.fits import Fit, identify
-from canser.files.foreign import HEAD_LEN, recognise
 
 __all__ = [
     "AUTO",
@@ -44,15 +42,11 @@ def is_auto(protocol: str | None) -> bool:
     return isinstance(protocol, str) and protocol.lower() == AUTO
 
 
-def choose_protocol(protocol: str | None, source: Input, *, as_is: bool) -> tuple[str, str]:
+def choose_protocol(protocol: str | None, source: Input) -> tuple[str, str]:
     """Return the protocol of raw bytes, and a remark where "auto" has found it, else "".
 
-    NoProtocolError where it is neither given nor plain, FormatError for another format.
+    NoProtocolError where it is neither given nor plain.
     """
-    if not as_is and (found := recognise(bytes(source.some(0)[:HEAD_LEN]))) is not None:
-        what = f"{source.name} is {found.name}, not raw bytes"
-        remedy = found.remedy.replace("FILE", shlex.quote(source.name))
-        raise ForeignFormatError(f"{what}; {remedy}", what=what, option=found.option)
     if protocol is not None and not is_auto(protocol):
         return protocol, ""
     if source.size is None and is_auto(protocol):
@@ -76,19 +70,18 @@ def _no_protocol(name: str, fit: Fit | None) -> NoProtocolError:
     return NoProtocolError(f"{name}: these bytes look like {describe_fit(fit)}", choices)
 
 
-def describe_doubt(name: str, decoder: Decoder, sample: BytesLike) -> str:
-    """Say why the bytes that a decoder has read are not of its protocol; "" if they may be.
+def describe_doubt(name: str, protocol: str, bytes_in: int, skipped: int, sample: BytesLike) -> str:
+    """Say why bytes, of which so many are in no packet, are not of a protocol; "" if they may be.
 
     `sample`: some of these bytes, by which to tell what they look like.
     """
-    bytes_in, skipped = decoder.position, decoder.skipped
-    if not is_doubtful(decoder.protocol, bytes_in, skipped):
+    if not is_doubtful(protocol, bytes_in, skipped):
         return ""
     fit = identify(sample)[0]
-    look = describe_fit(fit) if fit.protocol != decoder.protocol else _NOTHING
+    look = describe_fit(fit) if fit.protocol != protocol else _NOTHING
     return (
         f"{name}: {skipped / bytes_in:.0%} of the {bytes_in:,} bytes are in no "
-        f"{decoder.protocol} packet; they look like {look}"
+        f"{protocol} packet; they look like {look}"
     )
 
 

@@ -7,17 +7,41 @@ the number of frames is written when it is known.
 import shutil
 import tempfile
 from collections.abc import Iterator
-from typing import BinaryIO, cast
+from typing import BinaryIO, Final, cast
 
 import numpy as np
 from numpy.lib import format as npy
 
 from canser._frames import FRAME_DTYPE, FrameArray, flaw
+from canser._input import Input
 from canser.errors import FormatError
 from canser.files._remarks import Tell, tell_all
+from canser.files.reader import DecodedReader, Reader, ReadOptions
+from canser.files.writer import WriteOptions
+
+about: Final = "a .npy file of numpy"
+
+suffixes: Final = (".npy",)
+
+cannot_hold: Final = ()
 
 # Frames that are handed on at a time.
 _BLOCK = 1 << 16
+
+
+def sniff(head: bytes) -> bool:
+    """Return whether these are the first bytes of an array in a file."""
+    return head.startswith(npy.MAGIC_PREFIX)
+
+
+def read(source: Input, options: ReadOptions) -> Reader:
+    """Open a file."""
+    return DecodedReader(source, options, parse)
+
+
+def write(file: BinaryIO, options: WriteOptions) -> "Writer":  # noqa: ARG001 - as every format
+    """Begin a file."""
+    return Writer(file)
 
 
 def _temporary() -> BinaryIO:
@@ -63,7 +87,7 @@ class Writer:
         return []
 
 
-def read(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[FrameArray]:
+def parse(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[FrameArray]:
     """Yield the frames of a file, block by block.
 
     `file`: open for reading bytes; `name`: what messages call it. `tell` is called at the end

@@ -14,8 +14,9 @@ from can.typechecking import StringPathLike
 
 from canser._frames import FRAME_DTYPE
 from canser.errors import CanserWarning
-from canser.files.captures import Blocks, Source
 from canser.files.judge import AUTO
+from canser.files.reader import ReadOptions
+from canser.files.reading import Blocks, Source
 from canser.python_can._messages import rows
 
 __all__ = ["CaptureReader"]
@@ -53,17 +54,13 @@ class CaptureReader(BinaryIOMessageReader):
         self._as_is = as_is
         self._name = str(getattr(self.file, "name", "the file"))
         try:
-            self._blocks = Blocks(
-                cast(Source, self.file),
-                protocol or AUTO,
-                ts_unit,
-                np.empty(_BATCH, FRAME_DTYPE),
-                None,
-                threads=1,
-                progress=None,
+            options = ReadOptions(
+                protocol=protocol or AUTO,
+                ts_unit=ts_unit,
+                out=np.empty(_BATCH, FRAME_DTYPE),
                 as_is=as_is,
-                warns=False,
             )
+            self._blocks = Blocks(cast(Source, self.file), options)
             if self._blocks.found:
                 _LOG.warning("%s: %s", self._name, self._blocks.found)
         except BaseException:
@@ -74,7 +71,7 @@ class CaptureReader(BinaryIOMessageReader):
     def __iter__(self) -> Iterator[can.Message]:
         for frames in self._blocks:
             yield from starmap(can.Message, rows(frames))
-        remarks = [f"{self._name}: {remark}" for remark in self._blocks.remarks]
+        remarks = self._blocks.remarks
         if self._blocks.doubt and not self._as_is:
             remarks.append(f"{self._blocks.doubt}; as_is=True accepts them")
         for remark in remarks:

@@ -74,6 +74,13 @@ class RecordedFrames:
             remarks.append(self._stamper.remark)
         return remarks
 
+    def line_bytes(self) -> Iterator[memoryview]:
+        """Yield the bytes of the line as they were recorded; nothing is decoded."""
+        for piece in self._recording:
+            if piece.gap:
+                self._count_gap(piece.lost)
+            yield piece.data
+
     def run(
         self, room: Callable[[], tuple[FrameArray, Offsets | None]]
     ) -> Iterator[tuple[FrameArray, int]]:

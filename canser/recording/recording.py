@@ -148,12 +148,14 @@ class RecordingWriter(Uncopied):
     not take what was written: what came behind `bytes_synced` may then be lost. An error names
     the path. FileExistsError for a path that is there. A path is locked until `close`.
 
+    Without `syncs` the file is written through at its end only, for what can be made again.
+
     `vanished` tells, as of the last second and of `close`, that the path is no more the name of
     the file: it was removed, replaced or renamed. What is written goes into the file still.
     """
 
-    def __init__(self, target: Source, info: RecordingInfo) -> None:
-        self.info = info
+    def __init__(self, target: Source, info: RecordingInfo, *, syncs: bool = True) -> None:
+        self.info, self._syncs = info, syncs
         self.bytes_written = 0  # of the line, without the format's own
         self.bytes_synced = 0  # of these, those that are known to be on the disk
         self.blocks_written = 0
@@ -230,7 +232,7 @@ class RecordingWriter(Uncopied):
         # A clock that was set back counts as late, here and below.
         if not 0 <= now_ns - self._first_ns < CHUNK_NS:
             self._close_chunk()
-        if not 0 <= now_ns - self._synced_ns < _SYNC_NS:
+        if self._syncs and not 0 <= now_ns - self._synced_ns < _SYNC_NS:
             self._write_through()
             self._synced_ns = now_ns
             self._look_at_name()

@@ -1,0 +1,209 @@
+"""Recordings of an adapter's line: raw bytes with the times when they came, in pcapng files.
+
+A recording knows its protocol and the unit of the device's clock. Its frames have host times,
+epoch nanoseconds.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import BinaryIO, Final
+
+import numpy as np
+
+from canser._core.buffers import Offsets
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_records
+from canser._input import Input
+from canser._protocols import protocol as find_protocol
+from canser.codec.decoder import Decoder, Encoder, decode
+from canser.codec.refusals import Refusals
+from canser.errors import FormatError, WrongProtocolError
+from canser.files.judge import describe_doubt, is_auto
+from canser.files.raw import BLOCK_FRAMES
+from canser.files.reader import Reader, ReadOptions
+from canser.files.writer import WriteOptions
+from canser.recording.recorded import RecordedFrames
+from canser.recording.recording import Recording, RecordingInfo, RecordingWriter, is_recording
+
+__all__ = ["RecordingFile", "RecordingReader", "open_writer"]
+
+suffixes: Final = (".pcapng",)
+
+about: Final = "a recording"
+
+cannot_hold: Final = ("what the protocol has no place for", "times to less than 2 ms")
+
+
+def sniff(head: bytes) -> bool:
+    """Return whether these are the first bytes of a pcapng file."""
+    return is_recording(head)
+
+
+def read(source: Input, options: ReadOptions) -> "RecordingReader":
+    """Open a recording.
+
+    Raises
+    ------
+    RecordingError
+        For pcapng that is none of canser's.
+    WrongProtocolError
+        For another protocol than the recording's own.
+    """
+    return RecordingReader(source, options)
+
+
+class RecordingReader(Reader):
+    """Reads a recording in its own protocol; with `as_is` in any."""
+
+    decoder: Decoder
+    recording: RecordingInfo
+
+    def __init__(self, source: Input, options: ReadOptions) -> None:
+        self._source, self._out, self._offsets = source, options.out, options.offsets
+        recording = Recording(source)
+        own = recording.info.protocol
+        protocol = None if options.raw_only else options.protocol
+        if protocol is None or is_auto(protocol):
+            protocol = own
+        elif not options.as_is and (given := find_protocol(protocol).name) != own:
+            raise WrongProtocolError(f"{source.name} is a recording in {own}, not in {given}")
+        self._recorded = RecordedFrames(
+            recording,
+            protocol,
+            None if options.raw_only else options.ts_unit,
+            live=source.size is None,
+        )
+        self.decoder, self.recording = self._recorded.decoder, self._recorded.info
+
+    def blocks(self, ends: Callable[[], bool]) -> Iterator[FrameArray]:  # noqa: ARG002
+        """Yield the frames, block by block; a packet that the end has cut is never whole."""
+        for out, count in self._recorded.run(self._room):
+            self.bytes_done = self._recorded.bytes_done
+            yield out[:count]
+        self.bytes_done = self._recorded.bytes_done
+
+    def line_bytes(self) -> Iterator[memoryview]:
+        """Yield the bytes of the line as they were recorded; nothing is decoded."""
+        return self._recorded.line_bytes()
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is damaged, and what is lost."""
+        return self._recorded.remarks
+
+    @property
+    def doubt(self) -> str:
+        """Why the bytes so far are not of the protocol they are read in; "" if they may be."""
+        decoder, head = self.decoder, self._recorded.head
+        return describe_doubt(
+            self._source.name, decoder.protocol, decoder.position, decoder.skipped, head
+        )
+
+    def _room(self) -> tuple[FrameArray, Offsets | None]:
+        if self._out is None:
+            return np.empty(BLOCK_FRAMES, FRAME_DTYPE), None
+        return self._out, self._offsets
+
+    def read_all(self, offsets: Offsets | None) -> FrameArray:
+        """Return all frames in one array."""
+        source, recorded = self._source, self._recorded
+        whole, count = np.empty(BLOCK_FRAMES, FRAME_DTYPE), 0
+        at = np.empty(BLOCK_FRAMES, np.int64)
+
+        def room() -> tuple[FrameArray, Offsets]:
+            nonlocal whole
+            if len(whole) - count < BLOCK_FRAMES:
+                # The frames so far tell how many there will be; where nobody knows the size of
+                # the file, or the rest is denser than they were, this happens again.
+                done = recorded.decoder.position
+                expected = int(count * (source.total or 2 * done) / done * 1.02)
+                larger = np.empty(max(expected, count) + BLOCK_FRAMES, FRAME_DTYPE)
+                put_records(larger[:count], whole[:count])
+                whole = larger
+            return whole[count : count + BLOCK_FRAMES], at
+
+        for _, more in recorded.run(room):
+            if offsets is not None:
+                fits = max(min(more, len(offsets) - count), 0)
+                offsets[count : count + fits] = at[:fits]
+            count += more
+        if offsets is not None and count > len(offsets):
+            raise ValueError(
+                f"offsets has room for {len(offsets)} frames, but the data holds {count}; "
+                f"make room for at least {count}"
+            )
+        # Given back, not copied: no other object refers to it.
+        whole.resize(count, refcheck=False)
+        return whole
+
+
+def write(file: BinaryIO, options: WriteOptions) -> "RecordingFile":
+    """Begin a recording."""
+    return RecordingFile(file, options)
+
+
+class RecordingFile:
+    """Writes frames as a recording of a line on which each came at its time.
+
+    Frames that the protocol cannot carry are left out; with `strict` they are a ValueError. A
+    frame without a time comes right behind the one before it.
+    """
+
+    def __init__(self, file: BinaryIO, options: WriteOptions) -> None:
+        assert options.protocol is not None
+        self._protocol = find_protocol(options.protocol)
+        self._encoder = Encoder(options.protocol, ts_unit=options.ts_unit)
+        self._strict = options.strict
+        self._refusals = Refusals(options.protocol, times_given=True)
+        self._writer = open_writer(file, options)
+        self._last_ns = self._untimed = 0
+        self.frames = self.bytes_out = 0
+
+    def write(self, frames: FrameArray) -> None:
+        """Append the frames that the protocol can carry."""
+        kept = frames if self._strict else self._refusals.keep(frames)
+        if not len(kept):
+            return
+        times = kept["ts"]
+        unknown = times == NO_TIME
+        if unknown.any():
+            self._untimed += int(unknown.sum())
+            kept = copy_records(kept)
+            times = kept["ts"]
+            # The time before each: the places of the known ones, the highest so far.
+            known = np.maximum.accumulate(np.where(unknown, -1, np.arange(len(times))))
+            times[unknown] = np.where(known < 0, self._last_ns, times[known])[unknown]
+        if times.min() < 0:
+            raise ValueError("a recording holds no times before 1970, and a frame has one")
+        raw = self._encoder.encode(kept)
+        begins = np.empty(len(kept), np.int64)
+        decode(raw, self._protocol.name, offsets=begins, as_is=True)
+        ends = [*begins[1:].tolist(), len(raw)]
+        data = memoryview(raw.data)
+        for begin, end, ns in zip(begins.tolist(), ends, times.tolist(), strict=True):
+            self._writer.write(data[begin:end], ns)
+        self._last_ns = int(times[-1])
+        self.frames += len(kept)
+        self.bytes_out += len(raw)
+
+    def finish(self) -> list[str]:
+        """Write the end; return what the recording does not hold."""
+        self._writer.close()
+        name, refusals = self._protocol.name, self._refusals
+        if refusals.left_out and not self.frames:
+            raise FormatError(
+                f"{name} can carry none of the {refusals.frames:,} frames: {refusals.reasons}; "
+                "convert to another protocol"
+            )
+        remarks = [str(refusals)] if refusals.left_out else []
+        if self._untimed:
+            remarks.append(
+                f"frames without a time, put right behind those before them: {self._untimed:,}"
+            )
+        return remarks
+
+
+def open_writer(file: BinaryIO, options: WriteOptions) -> RecordingWriter:
+    """Return a writer of bytes that were not recorded from a port."""
+    assert options.protocol is not None
+    protocol = find_protocol(options.protocol)
+    info = RecordingInfo(protocol.name, protocol.baudrate, None, options.ts_unit, "a file")
+    return RecordingWriter(file, info, syncs=False)
