@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from canser.files.fits import Fit as Fit
     from canser.files.fits import identify as identify
     from canser.files.reading import Blocks as Blocks
-    from canser.files.reading import FileInfo as FileInfo
+    from canser.files.reading import FilePart as FilePart
     from canser.files.reading import blocks as blocks
     from canser.files.reading import read as read
     from canser.files.writing import Converted as Converted
@@ -108,7 +108,7 @@ _HOMES: Final = {
     ),
     "canser.files.reading": (
         "Blocks",
-        "FileInfo",
+        "FilePart",
         "blocks",
         "read",
     ),

@@ -14,7 +14,7 @@ NAMES = [
     "AdapterReport",
     "Blocks",
     "Converted",
-    "FileInfo",
+    "FilePart",
     "convert",
     "write",
     "CanserError",

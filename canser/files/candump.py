@@ -66,7 +66,7 @@ _BEGIN: Final = re.compile(rb"^\(\d+\.\d+\) +\S+ +[0-9A-Fa-f]+#", re.MULTILINE)
 
 def sniff(head: bytes) -> bool:
     """Return whether these first bytes of a file have a line of a log."""
-    return is_text(head) and bool(_BEGIN.search(head))
+    return is_text(head, least=1) and bool(_BEGIN.search(head))
 
 
 def read(source: Input, options: ReadOptions) -> Reader:

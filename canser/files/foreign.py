@@ -86,10 +86,10 @@ def recognise(head: bytes) -> Foreign | None:
     return next((found for pattern, found in _TEXTS if pattern.search(head)), TEXT)
 
 
-def is_text(head: bytes) -> bool:
-    """Return whether these bytes are lines of text."""
+def is_text(head: bytes, least: int = _TEXT_LEAST) -> bool:
+    """Return whether these bytes, `least` of them or more, are lines of text."""
     head = head.rstrip(b"\0")  # some systems leave zeros behind a text when the power goes
-    if len(head) < _TEXT_LEAST or not re.search(rb"[\r\n]", head):
+    if len(head) < least or not re.search(rb"[\r\n]", head):
         return False
     if re.search(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]", head):
         return False

@@ -169,8 +169,11 @@ def _head(source: Input, *, wait: bool) -> bytes:
     """Return the first bytes of a file; of a pipe the first line, or what is at hand."""
     if source.size is None and wait:
         size = 1
-        while len(head := source.at(0, size)) == size < HEAD_LEN and b"\n" not in bytes(head):
-            size += 64
+        while len(source.at(0, size)) == size < HEAD_LEN:
+            held = bytes(source.some(0))
+            if b"\n" in held:
+                break
+            size = len(held) + 1
     return bytes(source.some(0)[:HEAD_LEN])
 
 

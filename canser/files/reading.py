@@ -40,7 +40,7 @@ _YEAR_2000_NS = 946_684_800 * 10**9
 _SORTED_BLOCK = 1 << 16
 
 
-class FileInfo(NamedTuple):
+class FilePart(NamedTuple):
     """What one of several files has given."""
 
     name: str
@@ -181,7 +181,7 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         self._warns = warns
         self._inputs: list[Input] = []
         self._readers: list[Reader] = []
-        self._files: list[FileInfo] = []
+        self._files: list[FilePart] = []
         self._order = _Order()
         self._done = 0  # bytes of the files before the one that is read
         self._closed = False
@@ -262,7 +262,7 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         return self._files[-1].format
 
     @property
-    def files(self) -> list[FileInfo]:
+    def files(self) -> list[FilePart]:
         """The files so far: name, format, number of frames."""
         return list(self._files)
 
@@ -360,7 +360,7 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         if reader.found and self._warns:
             warnings.warn(f"{source.name}: {reader.found}", CanserWarning, stacklevel=stacklevel)
         self._readers.append(reader)
-        self._files.append(FileInfo(source.name, name, 0))
+        self._files.append(FilePart(source.name, name, 0))
 
     def _run(self) -> Generator[FrameArray, None, None]:
         """Yield the blocks of all files."""

@@ -31,6 +31,10 @@ about: Final = "a recording"
 
 cannot_hold: Final = ("what the protocol has no place for", "times to less than 2 ms")
 
+# Times that were known may be off by so much in a file that is written: it grows by 72 bytes
+# wherever frames come more irregularly. The clock of `serial` adds a tick of its own.
+_TIME_ERROR_NS: Final = 500_000
+
 
 def sniff(head: bytes) -> bool:
     """Return whether these are the first bytes of a pcapng file."""
@@ -206,4 +210,4 @@ def open_writer(file: BinaryIO, options: WriteOptions) -> RecordingWriter:
     assert options.protocol is not None
     protocol = find_protocol(options.protocol)
     info = RecordingInfo(protocol.name, protocol.baudrate, None, options.ts_unit, "a file")
-    return RecordingWriter(file, info, syncs=False)
+    return RecordingWriter(file, info, syncs=False, time_error_ns=_TIME_ERROR_NS)

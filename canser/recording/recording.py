@@ -149,13 +149,21 @@ class RecordingWriter(Uncopied):
     the path. FileExistsError for a path that is there. A path is locked until `close`.
 
     Without `syncs` the file is written through at its end only, for what can be made again.
+    A chunk ends before counting back in it is off by more than `time_error_ns`.
 
     `vanished` tells, as of the last second and of `close`, that the path is no more the name of
     the file: it was removed, replaced or renamed. What is written goes into the file still.
     """
 
-    def __init__(self, target: Source, info: RecordingInfo, *, syncs: bool = True) -> None:
-        self.info, self._syncs = info, syncs
+    def __init__(
+        self,
+        target: Source,
+        info: RecordingInfo,
+        *,
+        syncs: bool = True,
+        time_error_ns: int = TIME_ERROR_NS,
+    ) -> None:
+        self.info, self._syncs, self._time_error_ns = info, syncs, time_error_ns
         self.bytes_written = 0  # of the line, without the format's own
         self.bytes_synced = 0  # of these, those that are known to be on the disk
         self.blocks_written = 0
@@ -270,7 +278,7 @@ class RecordingWriter(Uncopied):
         if held and (
             held + len(part) > CHUNK_MAX
             or not 0 <= arrival_ns - self._first_ns < CHUNK_NS
-            or max(shift, self._shift_max) - min(shift, self._shift_min) > TIME_ERROR_NS
+            or max(shift, self._shift_max) - min(shift, self._shift_min) > self._time_error_ns
         ):
             self._close_chunk()
             held = 0

@@ -1,0 +1,457 @@
+"""Files of any format by one call: what they are, several as one stream, written and converted."""
+
+import io
+import itertools
+import os
+import warnings
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import canser
+from canser import CanserWarning, FrameArray
+from canser.files import formats
+from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.simulation.traffic import vehicle
+from reference import NO_TIME, Frame
+from samples import EPOCH, MILLISECOND, SECOND, array, listed, timed
+
+PROTOCOLS = canser.protocols()
+FRAMES = vehicle(2, extended=False)
+LOGGED = FRAMES.copy()
+LOGGED["ts"] += EPOCH
+
+
+def saved(path: Path, frames: FrameArray, protocol: str | None = None) -> Path:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CanserWarning)  # what the file cannot hold
+        canser.write(frames, path, protocol)
+    return path
+
+
+def recorded(path: Path, raw: bytes, protocol: str) -> Path:
+    info = RecordingInfo(protocol, canser.protocol(protocol).baudrate, None, "ms", "/dev/x")
+    with RecordingWriter(path, info) as writer:
+        for at in range(0, len(raw), 4096):
+            writer.write(raw[at : at + 4096], EPOCH + at * 100_000)
+    return path
+
+
+# What a file is.
+
+
+@pytest.mark.parametrize("suffix", [".log", ".csv", ".npy"])
+@pytest.mark.parametrize("name", ["run", "run.txt", "run.bin", "run.npy", "run.log"])
+def test_the_content_tells_the_format_whatever_the_name(
+    tmp_path: Path, suffix: str, name: str
+) -> None:
+    made = saved(tmp_path / f"made{suffix}", LOGGED)
+    path = tmp_path / name
+    made.rename(path)
+    assert canser.read(path).tobytes() == LOGGED.tobytes()
+    assert b"".join(block.tobytes() for block in canser.blocks(path)) == LOGGED.tobytes()
+    with path.open("rb") as file:
+        assert canser.read(file).tobytes() == LOGGED.tobytes()
+    assert canser.read(io.BytesIO(path.read_bytes())).tobytes() == LOGGED.tobytes()
+
+
+def test_a_recording_is_known_by_its_content(tmp_path: Path) -> None:
+    raw = canser.encode(FRAMES, "seeed")
+    path = recorded(tmp_path / "run.csv", raw, "seeed")
+    with canser.blocks(path) as blocks:
+        assert blocks.format == "pcapng"
+        assert sum(map(len, blocks)) == len(FRAMES)
+
+
+def test_the_name_tells_where_the_content_does_not(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("dlc,data,arbitration_id,extended,remote,error,timestamp\n1,AA==,0x1,0,0,0,2\n")
+    assert listed(canser.read(path)) == [Frame(1, dlc=1, ts=2 * SECOND)]
+    empty = tmp_path / "run.log"
+    empty.write_bytes(b"")
+    assert len(canser.read(empty)) == 0
+
+
+def test_a_format_that_is_given_wins(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    path.write_text("timestamp,arbitration_id,extended,remote,error,dlc,data\n")
+    assert len(canser.read(path, format="csv")) == 0
+    with pytest.raises(canser.FormatError, match="line 1"):
+        canser.read(path, format="candump")
+    with pytest.raises(ValueError, match="unknown format 'log'; have: raw, pcapng, candump, csv"):
+        canser.read(path, format="log")
+
+
+@pytest.mark.parametrize("suffix", [".log", ".csv", ".npy"])
+def test_a_protocol_for_a_file_of_frames_is_an_error_that_names_the_format(
+    tmp_path: Path, suffix: str
+) -> None:
+    path = saved(tmp_path / f"run{suffix}", LOGGED)
+    about = {".log": "a candump log", ".csv": "a CSV file", ".npy": "a .npy file"}[suffix]
+    with pytest.raises(canser.ForeignFormatError, match=f"is {about}.*leave the protocol out"):
+        canser.read(path, "seeed")
+    assert len(canser.read(path, "auto")) == len(LOGGED)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        canser.read(path, "seeed", as_is=True)
+
+
+def test_a_file_of_frames_has_no_decoder_and_no_offsets(tmp_path: Path) -> None:
+    path = saved(tmp_path / "run.npy", FRAMES)
+    with canser.blocks(path) as blocks:
+        assert blocks.stats is None
+        assert blocks.recording is None
+        with pytest.raises(ValueError, match="holds frames, and no bytes"):
+            blocks.decoder  # noqa: B018
+    offsets = np.empty(len(FRAMES), np.int64)
+    with pytest.raises(ValueError, match="leave offsets out"):
+        canser.read(path, offsets=offsets)
+
+
+@pytest.mark.parametrize("room", [1, 7, 1000, 1 << 17])
+@pytest.mark.parametrize("suffix", [".log", ".csv", ".npy"])
+def test_out_is_filled_again_and_again(tmp_path: Path, suffix: str, room: int) -> None:
+    path = saved(tmp_path / f"run{suffix}", FRAMES)
+    out = np.empty(room, canser.FRAME_DTYPE)
+    got = [(len(block), block.tobytes()) for block in canser.blocks(path, out=out)]
+    assert b"".join(data for _, data in got) == FRAMES.tobytes()
+    assert {size for size, _ in got[:-1]} <= {room}
+
+
+def test_a_pipe_is_known_by_its_first_line() -> None:
+    receiver, sender = os.pipe()
+    with open(receiver, "rb", buffering=0) as file, open(sender, "wb", buffering=0) as pipe:  # noqa: PTH123
+        pipe.write(b"(1.5")
+        pipe.write(b"00000) can0 123#11\n")
+        with canser.blocks(file) as blocks:
+            pipe.close()
+            assert listed(blocks) == [
+                Frame(0x123, dlc=1, data=b"\x11".ljust(8, b"\0"), ts=3 * SECOND // 2)
+            ]
+            assert blocks.format == "candump"
+
+
+# Formats of other packages.
+
+
+def points(monkeypatch: pytest.MonkeyPatch, **modules: Any) -> None:
+    def load(self: EntryPoint) -> Any:
+        module = modules[self.name]
+        if isinstance(module, Exception):
+            raise module
+        return module
+
+    monkeypatch.setattr(EntryPoint, "load", load)
+    found = [EntryPoint(name, f"other.{name}", "canser.formats") for name in modules]
+    monkeypatch.setattr(formats, "entry_points", lambda group: found if group else [])
+    formats._all.cache_clear()
+
+
+@pytest.fixture
+def _added(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    class Writer:
+        def __init__(self, file: Any) -> None:
+            self._file = file
+
+        def write(self, frames: FrameArray) -> None:
+            self._file.write(b"mine" + frames.tobytes())
+
+        def finish(self) -> list[str]:
+            return ["something is lost"]
+
+    def read(file: Any, name: str, tell: Any) -> Iterator[FrameArray]:
+        assert file.read(4) == b"mine"
+        yield np.frombuffer(file.read(), canser.FRAME_DTYPE)
+        tell(f"the end of {Path(name).name}")
+
+    mine = SimpleNamespace(
+        suffixes=(".mine", ".log"), sniff=lambda head: head[:4] == b"mine", read=read, write=Writer
+    )
+    broken = ImportError("no module named x")
+    points(monkeypatch, mine=mine, csv=mine, broken=broken)
+    yield
+    monkeypatch.undo()
+    formats._all.cache_clear()
+
+
+@pytest.mark.usefixtures("_added")
+def test_a_format_of_another_package_is_read_and_written(tmp_path: Path) -> None:
+    path = tmp_path / "run.mine"
+    with pytest.warns(CanserWarning) as caught:
+        canser.write(FRAMES, path)
+    texts = [str(warning.message) for warning in caught]
+    assert texts[0] == (
+        "the format 'broken' of other.broken cannot be used: ImportError: no module named x"
+    )
+    assert texts[-1] == f"{path}: something is lost"
+    with pytest.warns(CanserWarning, match="the end of run"):
+        assert canser.read(path).tobytes() == FRAMES.tobytes()
+    other = path.rename(tmp_path / "run.other")
+    with pytest.warns(CanserWarning, match="the end of run"):
+        assert canser.read(other).tobytes() == FRAMES.tobytes()
+    assert "mine" in formats.format_names()
+
+
+@pytest.mark.usefixtures("_added")
+def test_a_format_of_canser_wins(tmp_path: Path) -> None:
+    with pytest.warns(CanserWarning, match="broken"):
+        formats.format_names()
+    canser.write(LOGGED[:3], tmp_path / "run.log")
+    canser.write(LOGGED[:3], tmp_path / "run.csv", format="csv")
+    assert (tmp_path / "run.log").read_bytes().startswith(b"(")
+    assert (tmp_path / "run.csv").read_bytes().startswith(b"timestamp")
+
+
+# Several files.
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_raw_files_are_one_stream_wherever_they_are_cut(
+    tmp_path: Path, protocol: str, threads: int
+) -> None:
+    raw = canser.encode(FRAMES, protocol)
+    rng = np.random.default_rng(1)
+    for cuts in ([1], [len(raw) // 2 + 3], sorted(rng.integers(0, len(raw), 6).tolist())):
+        paths = []
+        for number, (begin, end) in enumerate(itertools.pairwise([0, *cuts, len(raw)])):
+            paths.append(tmp_path / f"{number}.bin")
+            paths[-1].write_bytes(raw[begin:end])
+        with canser.blocks(paths, protocol, threads=threads) as blocks:
+            got = canser.concat(blocks)
+            stats = blocks.stats
+        whole = canser.Decoder(protocol)
+        assert got.tobytes() == canser.concat([whole.feed(raw), whole.flush()]).tobytes()
+        assert stats == whole.stats
+        assert canser.read(paths, protocol).tobytes() == got.tobytes()
+        assert [file.name for file in blocks.files] == [str(path) for path in paths]
+        assert sum(file.frames for file in blocks.files) == len(got)
+
+
+def test_raw_files_with_offsets_are_one_stream(tmp_path: Path) -> None:
+    raw = canser.encode(FRAMES, "seeed")
+    paths = [tmp_path / "a.bin", tmp_path / "b.bin"]
+    paths[0].write_bytes(raw[:1001])
+    paths[1].write_bytes(raw[1001:])
+    out, at = np.empty(100, canser.FRAME_DTYPE), np.empty(100, np.int64)
+    got = [at[: len(block)].copy() for block in canser.blocks(paths, "seeed", out=out, offsets=at)]
+    want = np.empty(len(FRAMES), np.int64)
+    canser.decode(raw, "seeed", offsets=want)
+    assert np.array_equal(np.concatenate(got), want)
+
+
+def test_formats_may_mix(tmp_path: Path) -> None:
+    later, last = LOGGED.copy(), LOGGED.copy()
+    later["ts"] += 10 * SECOND
+    last["ts"] += 20 * SECOND
+    paths = [
+        saved(tmp_path / "a.log", LOGGED),
+        saved(tmp_path / "b.npy", later),
+        saved(tmp_path / "c.csv", last),
+    ]
+    want = canser.concat([LOGGED, later, last])
+    assert canser.read(paths).tobytes() == want.tobytes()
+    assert canser.read(tuple(map(str, paths))).tobytes() == want.tobytes()
+    with canser.blocks(paths) as blocks:
+        assert sum(map(len, blocks)) == len(want)
+    assert [(Path(name).name, kind, count) for name, kind, count in blocks.files] == [
+        ("a.log", "candump", len(LOGGED)),
+        ("b.npy", "npy", len(LOGGED)),
+        ("c.csv", "csv", len(LOGGED)),
+    ]
+
+
+def test_a_packet_that_the_end_of_a_recording_cuts_does_not_go_on(tmp_path: Path) -> None:
+    raw = canser.encode(FRAMES[:2], "seeed")
+    first = recorded(tmp_path / "a.pcapng", raw[:5], "seeed")
+    second = tmp_path / "b.bin"
+    second.write_bytes(raw[5:])
+    assert len(canser.read([first, second], "seeed")) == 1
+
+
+def test_time_bases_do_not_mix(tmp_path: Path) -> None:
+    paths = [saved(tmp_path / "a.npy", FRAMES), saved(tmp_path / "b.log", LOGGED)]
+    with pytest.raises(canser.FormatError, match=r"b\.log counts its times from 1970, .*a\.npy"):
+        canser.read(paths)
+    with pytest.raises(canser.FormatError, match=r"a\.npy counts its times from a device's start"):
+        canser.read(paths[::-1])
+    untimed = saved(tmp_path / "c.npy", timed(NO_TIME, NO_TIME))
+    assert len(canser.read([untimed, *paths[1:], untimed])) == len(LOGGED) + 4
+
+
+def test_a_file_that_begins_too_early_is_told_and_sort_orders_all(tmp_path: Path) -> None:
+    even, odd = timed(*range(0, 100, 2)).copy(), timed(*range(1, 100, 2)).copy()
+    for frames in (even, odd):
+        frames["ts"] = frames["ts"] * MILLISECOND + EPOCH
+    paths = [saved(tmp_path / "a.npy", even), saved(tmp_path / "b.npy", odd)]
+    with pytest.warns(CanserWarning, match=r"b\.npy begins 0\.097 s before the end of .*--sort"):
+        assert len(canser.read(paths)) == 100
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(canser.read([paths[0]])) == 50
+    with pytest.warns(CanserWarning, match="before the end"):
+        got = canser.read(paths, sort=True)
+    assert got["ts"].tolist() == [EPOCH + ms * MILLISECOND for ms in range(100)]
+    out = np.empty(7, canser.FRAME_DTYPE)
+    with pytest.warns(CanserWarning, match="before the end"):
+        times = [block["ts"].copy() for block in canser.blocks(paths, out=out, sort=True)]
+    assert np.concatenate(times).tolist() == got["ts"].tolist()
+
+
+def test_frames_of_the_same_time_keep_their_order_and_those_without_come_first(
+    tmp_path: Path,
+) -> None:
+    frames = array(*(Frame(number, ts=ts) for number, ts in enumerate((2, 1, NO_TIME, 1, 2))))
+    assert canser.read(saved(tmp_path / "x.npy", frames), sort=True)["id"].tolist() == [
+        2, 1, 3, 0, 4,
+    ]  # fmt: skip
+
+
+def test_the_bytes_of_all_files_are_counted(tmp_path: Path) -> None:
+    paths = [saved(tmp_path / f"{n}.bin", FRAMES, "seeed") for n in range(3)]
+    size = sum(path.stat().st_size for path in paths)
+    told: list[tuple[int, int | None]] = []
+    for _ in canser.blocks(paths, "seeed", progress=lambda done, total: told.append((done, total))):
+        pass
+    assert told[-1] == (size, size)
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+
+
+def test_no_file_is_an_error_and_a_missing_one_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="the list of files is empty"):
+        canser.read([])
+    first = saved(tmp_path / "a.npy", FRAMES)
+    with pytest.raises(FileNotFoundError, match=r"missing\.npy"):
+        canser.read([first, tmp_path / "missing.npy"])
+
+
+# Writing.
+
+
+@pytest.mark.parametrize("suffix", [".log", ".csv", ".npy"])
+def test_write_takes_an_array_or_blocks(tmp_path: Path, suffix: str) -> None:
+    one, other = tmp_path / f"one{suffix}", tmp_path / f"other{suffix}"
+    done = canser.write(FRAMES, one)
+    assert (done.frames, done.bytes_out, done.remarks) == (len(FRAMES), 0, [])
+    canser.write(iter([FRAMES[:10], FRAMES[10:]]), other)
+    assert one.read_bytes() == other.read_bytes()
+    assert canser.read(one).tobytes() == FRAMES.tobytes()
+
+
+def test_a_file_that_is_there_is_replaced_by_force_only(tmp_path: Path) -> None:
+    path = saved(tmp_path / "run.log", FRAMES)
+    with pytest.raises(canser.OutputExistsError, match="is there already"):
+        canser.write(LOGGED, path)
+    assert canser.read(path).tobytes() == FRAMES.tobytes()
+    canser.write(LOGGED, path, force=True)
+    assert canser.read(path).tobytes() == LOGGED.tobytes()
+
+
+def test_what_a_file_cannot_hold_is_a_warning(tmp_path: Path) -> None:
+    with pytest.warns(CanserWarning, match=r"x\.log: times cut to the microsecond: 1"):
+        canser.write(timed(1), tmp_path / "x.log")
+    with pytest.warns(CanserWarning, match=r"x\.bin: seeed carries no times"):
+        done = canser.write(FRAMES, tmp_path / "x.bin", "seeed")
+    assert done.bytes_out == (tmp_path / "x.bin").stat().st_size
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("x.xyz", {}, r"cannot tell the format of .*x\.xyz by its suffix; use .*\.log"),
+        ("x.bin", {}, "raw bytes need a protocol"),
+        ("x.pcapng", {}, "a recording needs a protocol"),
+        ("x.log", {"format": "xyz"}, "unknown format 'xyz'"),
+        ("x.bin", {"protocol": "sped"}, "unknown protocol 'sped'"),
+        ("x.bin", {"protocol": "seeed", "ts_unit": "min"}, "unknown ts_unit 'min'"),
+    ],
+)
+def test_a_call_that_is_wrong_leaves_no_file(
+    tmp_path: Path, name: str, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        canser.write(FRAMES, tmp_path / name, **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_no_array_of_frames_is_not_written(tmp_path: Path) -> None:
+    for bad in (np.zeros(3), FRAMES.reshape(1, -1), [FRAMES["id"]]):
+        with pytest.raises(TypeError, match=r"arrays of canser\.FRAME_DTYPE"):
+            canser.write(bad, tmp_path / "x.npy")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_frames_come_back_from_a_recording_with_their_times(tmp_path: Path, protocol: str) -> None:
+    path = saved(tmp_path / "run.pcapng", LOGGED, protocol)
+    back = canser.read(path)
+    assert [frame._replace(ts=0) for frame in listed(back)] == [
+        frame._replace(ts=0) for frame in listed(LOGGED)
+    ]
+    assert np.abs(back["ts"] - LOGGED["ts"]).max() <= 2 * MILLISECOND
+
+
+# Converting.
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_recording_becomes_the_bytes_of_its_line(tmp_path: Path, protocol: str) -> None:
+    raw = b"\0noise" + canser.encode(FRAMES, protocol) + b"\xaa"
+    source = recorded(tmp_path / "run.pcapng", raw, protocol)
+    done = canser.convert(source, tmp_path / "run.bin")
+    assert (tmp_path / "run.bin").read_bytes() == raw
+    assert done.bytes_out == len(raw)
+    with pytest.raises(canser.WrongProtocolError, match=f"is a recording in {protocol}"):
+        canser.convert(source, tmp_path / "x.csv", next(p for p in PROTOCOLS if p != protocol))
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_raw_bytes_become_a_recording_of_the_same_bytes(tmp_path: Path, protocol: str) -> None:
+    raw = canser.encode(FRAMES, protocol) + b"\xaa\0noise"
+    source = tmp_path / "run.bin"
+    source.write_bytes(raw)
+    with pytest.warns(CanserWarning, match="times count from"):
+        canser.convert(source, tmp_path / "run.pcapng", protocol)
+    canser.convert(tmp_path / "run.pcapng", tmp_path / "back.bin")
+    assert (tmp_path / "back.bin").read_bytes() == raw
+    back, want = canser.read(tmp_path / "run.pcapng"), canser.read(source, protocol)
+    assert back["id"].tolist() == want["id"].tolist()
+    if canser.protocol(protocol).has_clock:
+        assert np.abs(back["ts"] - want["ts"]).max() <= 2 * MILLISECOND
+    else:
+        # The line's rate.
+        took = (len(raw) - 8) * 10e9 / canser.protocol(protocol).baudrate
+        assert back["ts"][-1] == pytest.approx(took, abs=3 * MILLISECOND)
+
+
+def test_several_files_become_one(tmp_path: Path) -> None:
+    paths = [saved(tmp_path / f"{n}.bin", FRAMES, "serial") for n in range(2)]
+    with pytest.warns(CanserWarning, match="before the end"):
+        done = canser.convert(paths, tmp_path / "both.csv", "serial")
+    assert done.frames == 2 * len(FRAMES)
+
+
+def test_a_source_is_not_replaced(tmp_path: Path) -> None:
+    path = saved(tmp_path / "run.log", FRAMES)
+    with pytest.raises(canser.OutputExistsError, match="are one file"):
+        canser.convert(path, path, force=True)
+    assert canser.read(path).tobytes() == FRAMES.tobytes()
+
+
+def test_raw_bytes_do_not_become_other_raw_bytes(tmp_path: Path) -> None:
+    path = saved(tmp_path / "run.bin", FRAMES, "serial")
+    with pytest.raises(ValueError, match="IN and OUT are both raw bytes"):
+        canser.convert(path, tmp_path / "x.bin", "serial")
+
+
+def test_the_wrong_protocol_leaves_no_file(tmp_path: Path) -> None:
+    path = tmp_path / "run.bin"
+    path.write_bytes(canser.encode(FRAMES, "serial"))
+    with pytest.raises(canser.FormatError, match="as_is=True accepts them"):
+        canser.convert(path, tmp_path / "x.csv", "seeed")
+    assert not (tmp_path / "x.csv").exists()
