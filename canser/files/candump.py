@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canser._frames import NO_TIME, FrameArray
+from canser._rows import Row, check_row, rows_to_frames
 from canser.errors import FormatError
 from canser.files import _text
 from canser.files._remarks import Tell, Unkept, tell_all
@@ -106,7 +107,7 @@ def read(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[FrameA
     tell_all(unkept.remarks(), name, tell)
 
 
-def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[_text.Row]:
+def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[Row]:
     for number, text in _text.lines(file, name, unkept):
         found = _LINE.fullmatch(text)
         if not found:
@@ -146,7 +147,7 @@ def frames_of(texts: Iterable[str]) -> FrameArray:
             rows.append(_check_frame(groups, NO_TIME))
         except ValueError as error:
             raise ValueError(f"{text!r}: {error}") from None
-    return _text.rows_to_frames(rows)
+    return rows_to_frames(rows)
 
 
 def _kind(text: str) -> str:
@@ -154,7 +155,7 @@ def _kind(text: str) -> str:
     return "CAN FD or CAN XL" if text.count("#") > 1 else "no frame"
 
 
-def _check_frame(groups: Sequence[str | Any], ts: int) -> _text.Row:
+def _check_frame(groups: Sequence[str | Any], ts: int) -> Row:
     """Return the frame of the groups of `_FRAME`; ValueError if it is none of classic CAN."""
     digits, rtr, rtr_dlc, data_digits, raw_dlc = groups
     number_of_id = int(digits, 16)
@@ -164,7 +165,7 @@ def _check_frame(groups: Sequence[str | Any], ts: int) -> _text.Row:
     dlc = int(rtr_dlc or 0) if rtr else len(data)
     if raw_dlc and dlc != 8:
         raise ValueError(f"a raw dlc (_{raw_dlc}) needs 8 bytes, but the dlc is {dlc}")
-    return _text.check_row(
+    return check_row(
         (
             # Above 29 bits only the flags stand that an id of eight digits may have.
             number_of_id & 0x1FFFFFFF if err else number_of_id,

@@ -16,7 +16,7 @@ from canser._frames import FRAME_DTYPE
 from canser.errors import CanserWarning
 from canser.files.captures import Blocks, Source
 from canser.files.judge import AUTO
-from canser.python_can._messages import rows
+from canser.python_can._messages import to_rows
 
 __all__ = ["CaptureReader"]
 
@@ -73,7 +73,7 @@ class CaptureReader(BinaryIOMessageReader):
 
     def __iter__(self) -> Iterator[can.Message]:
         for frames in self._blocks:
-            yield from starmap(can.Message, rows(frames))
+            yield from starmap(can.Message, to_rows(frames))
         remarks = [f"{self._name}: {remark}" for remark in self._blocks.remarks]
         if self._blocks.doubt and not self._as_is:
             remarks.append(f"{self._blocks.doubt}; as_is=True accepts them")
