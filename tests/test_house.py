@@ -19,7 +19,7 @@ FLOORS = [
     ["_checks", "_guards", "_named", "_progress", "_signals", "errors"],
     ["_frames", "_input", "_output", "_threads"],
     ["_core", "_rows"],
-    ["_protocols"],
+    ["_notation", "_protocols"],
     ["adapters", "codec"],
     ["simulation", "timing"],
     ["recording"],
