@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from canser._frames import FrameArray as FrameArray
     from canser._frames import concat as concat
     from canser._frames import match as match
+    from canser._items import frames as frames
     from canser._protocols import Protocol as Protocol
     from canser._protocols import protocol as protocol
     from canser._protocols import protocols as protocols
@@ -66,6 +67,7 @@ _HOMES: Final = {
         "concat",
         "match",
     ),
+    "canser._items": ("frames",),
     "canser._protocols": (
         "Protocol",
         "protocol",

@@ -20,7 +20,7 @@ FLOORS = [
     ["_frames", "_input", "_output", "_threads"],
     ["_core", "_rows"],
     ["_notation", "_protocols"],
-    ["adapters", "codec"],
+    ["_items", "adapters", "codec"],
     ["simulation", "timing"],
     ["recording"],
     ["files"],

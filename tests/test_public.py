@@ -53,6 +53,7 @@ NAMES = [
     "concat",
     "decode",
     "encode",
+    "frames",
     "identify",
     "list_ports",
     "match",

@@ -19,7 +19,7 @@ known is written as 0. `Writer` counts both.
 """
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import BinaryIO
 
 import numpy as np
@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from canser import _notation
 from canser._frames import NO_TIME, FrameArray
-from canser._rows import Row, rows_to_frames
+from canser._rows import Row
 from canser.errors import FormatError
 from canser.files import _text
 from canser.files._remarks import Tell, Unkept, tell_all
@@ -117,11 +117,3 @@ def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[Row]:
         unkept.add(channel, direction or "")
         if raw_dlc:
             unkept.raw_dlcs += 1
-
-
-def frames_of(texts: Iterable[str]) -> FrameArray:
-    """Return the frames of texts such as 123#DEADBEEF, 18FEF100#, 123#R8 or 20000080#00.
-
-    Their times are not known. ValueError names the first text that is no frame of classic CAN.
-    """
-    return rows_to_frames(map(_notation.parse_frame, texts))

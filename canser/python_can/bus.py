@@ -17,8 +17,9 @@ from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 from canser._checks import timeout as check_timeout
 from canser._checks import whole
 from canser._core.table import find_protocol
-from canser._frames import NO_TIME, FrameArray, flaw
+from canser._frames import NO_TIME, FrameArray
 from canser._guards import Uncopied
+from canser._items import message_to_row
 from canser._protocols import protocols, tick_ns
 from canser._rows import rows_to_frames
 from canser.errors import PortError, SendTimeoutError
@@ -248,31 +249,8 @@ class CanserBus(Uncopied, can.BusABC):
         CanTimeoutError if the line does not take it in time, CanOperationError if the
         device is gone or the bus is shut down.
         """
-        rtr, dlc, data = msg.is_remote_frame, msg.dlc, bytes(msg.data)
-        if msg.is_fd:
-            raise ValueError("the message is one of CAN FD; serial adapters know classic CAN only")
-        wrong = flaw(msg.arbitration_id, msg.is_extended_id, dlc)
-        if wrong is not None:
-            raise ValueError(wrong)
-        if len(data) != (0 if rtr else dlc):
-            raise ValueError(f"the message has {len(data)} bytes of data, but its dlc is {dlc}")
         ts = self._ticking(msg.timestamp) if self._clocked else NO_TIME
-        self._send(
-            rows_to_frames(
-                [
-                    (
-                        msg.arbitration_id,
-                        msg.is_extended_id,
-                        rtr,
-                        dlc,
-                        msg.is_error_frame,
-                        data,
-                        ts,
-                    )
-                ]
-            ),
-            timeout,
-        )
+        self._send(rows_to_frames([message_to_row(msg, ts)]), timeout)
 
     def send_batch(self, frames: FrameArray, *, timeout: float | None = None) -> int:
         """Send frames, an array of `canser.FRAME_DTYPE`, as `canser.Port.send`; return how many.
