@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from canser._core.stream import Control as Control
+    from canser._display import load_ipython_extension as load_ipython_extension
+    from canser._display import show as show
+    from canser._display import unload_ipython_extension as unload_ipython_extension
     from canser._frames import FRAME_DTYPE as FRAME_DTYPE
     from canser._frames import NO_TIME as NO_TIME
     from canser._frames import FrameArray as FrameArray
@@ -60,6 +63,11 @@ if TYPE_CHECKING:
 # The public names by the module that makes them; type checkers read the imports above.
 _HOMES: Final = {
     "canser._core.stream": ("Control",),
+    "canser._display": (
+        "load_ipython_extension",
+        "show",
+        "unload_ipython_extension",
+    ),
     "canser._frames": (
         "FRAME_DTYPE",
         "NO_TIME",

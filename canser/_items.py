@@ -6,9 +6,9 @@ from typing import Any, Protocol, SupportsIndex, TypeAlias
 
 import numpy as np
 
-from canser._checks import real, type_name, whole
+from canser._checks import real, whole
 from canser._core.buffers import BytesLike, as_bytes
-from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, flaw, refuse_mask
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, check_frames, flaw
 from canser._notation import parse_frame
 from canser._rows import Row, check_row, join_records, pack_row
 
@@ -149,13 +149,10 @@ def _tuple_to_row(item: tuple[Any, ...]) -> Row:
 
 
 def _array_to_records(item: np.void | FrameArray) -> bytes:
-    if item.dtype != FRAME_DTYPE:
-        raise TypeError(f"an array of frames has canser.FRAME_DTYPE, but this is {type_name(item)}")
-    refuse_mask(item, "frames")
-    if isinstance(item, np.ndarray) and item.ndim != 1:
-        raise ValueError(f"an array of frames has {item.ndim} dimensions; it must have one")
+    array = item.reshape(1) if isinstance(item, np.void) else item
+    check_frames(array, "frames")
     # Whole records: numpy copies fields one by one.
-    return item.view(f"V{FRAME_DTYPE.itemsize}").tobytes()
+    return array.view(f"V{FRAME_DTYPE.itemsize}").tobytes()
 
 
 def _timed_message_to_row(message: MessageLike) -> Row:

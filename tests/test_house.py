@@ -25,7 +25,7 @@ FLOORS = [
     ["recording"],
     ["files"],
     ["live"],
-    ["analysis"],
+    ["_display", "analysis"],
     ["", "monitoring", "python_can"],
     ["commands"],
     ["__main__"],

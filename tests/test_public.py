@@ -56,11 +56,14 @@ NAMES = [
     "frames",
     "identify",
     "list_ports",
+    "load_ipython_extension",
     "match",
     "open",
     "protocol",
     "protocols",
     "read",
+    "show",
+    "unload_ipython_extension",
 ]
 
 # Besides `canser` itself. All else is private: by its name, or by the first word of its docstring.
