@@ -60,6 +60,8 @@ if TYPE_CHECKING:
     from canser.simulation.simulator import SimulatorReport as SimulatorReport
     from canser.timing.clocks import ClockEstimate as ClockEstimate
 
+    __version__: str
+
 # The public names by the module that makes them; type checkers read the imports above.
 _HOMES: Final = {
     "canser._core.stream": ("Control",),
@@ -137,21 +139,21 @@ _HOMES: Final = {
 }
 _HOME: Final = {name: module for module, names in _HOMES.items() for name in names}
 
-__all__ = [*_HOME, "__version__"]  # noqa: PLE0604 - they are strings
+# Otherwise type checkers would take any name for one of these, and `import *` for none.
+if not TYPE_CHECKING:
+    __all__ = [*_HOME, "__version__"]  # noqa: PLE0604 - they are strings
 
+    def __getattr__(name: str) -> Any:
+        if name in _HOME:
+            value = getattr(import_module(_HOME[name]), name)
+        elif name == "__version__":
+            from importlib.metadata import version  # noqa: PLC0415 - slow, and seldom asked for
 
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        value = getattr(import_module(_HOME[name]), name)
-    elif name == "__version__":
-        from importlib.metadata import version  # noqa: PLC0415 - slow to load, and seldom asked for
+            value = version("canser")
+        else:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        globals()[name] = value  # found at once from now on
+        return value
 
-        value = version("canser")
-    else:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = value  # found at once from now on
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+    def __dir__() -> list[str]:
+        return sorted(__all__)
