@@ -8,9 +8,9 @@ import numpy as np
 
 from canser._checks import real, whole
 from canser._core.buffers import BytesLike, as_bytes
-from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, check_frames, flaw
+from canser._frames import NO_TIME, FrameArray, check_frames, concat, copy_records, flaw
 from canser._notation import parse_frame
-from canser._rows import Row, check_row, join_records, pack_row
+from canser._rows import Row, check_row, rows_to_frames
 
 __all__ = ["FrameItem", "FrameItems", "MessageLike", "frames", "message_to_row"]
 
@@ -94,7 +94,16 @@ def frames(*items: FrameItems) -> FrameArray:
     >>> len(canser.frames(made, ["7E0#R8"] * 3))
     5
     """
-    return join_records(_to_records(items))
+    arrays: list[FrameArray] = []
+    rows: list[Row] = []
+    for part in _to_parts(items):
+        if isinstance(part, tuple):
+            rows.append(part)
+        else:
+            # A copy: an iterable of arrays may fill the same one again and again.
+            arrays += [rows_to_frames(rows), copy_records(part)]
+            rows.clear()
+    return concat([*arrays, rows_to_frames(rows)])
 
 
 def message_to_row(message: MessageLike, ts: int) -> Row:
@@ -112,19 +121,19 @@ def message_to_row(message: MessageLike, ts: int) -> Row:
     return arbitration_id, message.is_extended_id, rtr, dlc, message.is_error_frame, data, ts
 
 
-def _to_records(items: Iterable[Any]) -> Iterator[bytes]:
-    """Yield the records of items, one or more at a time."""
+def _to_parts(items: Iterable[Any]) -> Iterator[Row | FrameArray]:
+    """Yield what the items stand for: a row for a single frame, or an array of frames."""
     for item in items:
         if isinstance(item, str):
-            yield pack_row(parse_frame(item))
+            yield parse_frame(item)
         elif isinstance(item, tuple):
-            yield pack_row(_tuple_to_row(item))
+            yield _tuple_to_row(item)
         elif isinstance(item, (np.ndarray, np.void)):
-            yield _array_to_records(item)
+            yield _checked_array(item)
         elif hasattr(item, "arbitration_id"):
-            yield pack_row(_timed_message_to_row(item))
+            yield _timed_message_to_row(item)
         elif isinstance(item, Iterable) and not isinstance(item, (bytes, bytearray, memoryview)):
-            yield from _to_records(item)
+            yield from _to_parts(item)
         else:
             raise TypeError(
                 f"cannot make a frame of {_shown(item)}; give a text such as '123#DEADBEEF', "
@@ -148,11 +157,10 @@ def _tuple_to_row(item: tuple[Any, ...]) -> Row:
         raise ValueError(f"{_shown(item)}: {error}") from None
 
 
-def _array_to_records(item: np.void | FrameArray) -> bytes:
+def _checked_array(item: np.void | FrameArray) -> FrameArray:
     array = item.reshape(1) if isinstance(item, np.void) else item
     check_frames(array, "frames")
-    # Whole records: numpy copies fields one by one.
-    return array.view(f"V{FRAME_DTYPE.itemsize}").tobytes()
+    return array
 
 
 def _timed_message_to_row(message: MessageLike) -> Row:

@@ -9,7 +9,7 @@ import numpy as np
 
 from canser._frames import FRAME_DTYPE, FrameArray, flaw
 
-__all__ = ["Row", "check_row", "join_records", "pack_row", "rows_to_frames"]
+__all__ = ["Row", "check_row", "rows_to_frames"]
 
 # The fields of a record but for the padding of data: id ext rtr dlc err data ts.
 Row: TypeAlias = tuple[int, bool, bool, int, bool, bytes, int]
@@ -31,16 +31,6 @@ def check_row(row: Row) -> Row:
     return row
 
 
-def pack_row(row: Row) -> bytes:
-    """Return the record of a row that is a CAN frame."""
-    return _RECORD.pack(*row)
-
-
-def join_records(records: Iterable[bytes]) -> FrameArray:
-    """Return records, one or more in each item, as an array that can be written."""
-    return np.frombuffer(bytearray().join(records), FRAME_DTYPE)
-
-
 def rows_to_frames(rows: Iterable[Row]) -> FrameArray:
     """Return rows that are CAN frames as an array that can be written."""
-    return join_records(starmap(_RECORD.pack, rows))
+    return np.frombuffer(bytearray().join(starmap(_RECORD.pack, rows)), FRAME_DTYPE)

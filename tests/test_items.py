@@ -136,6 +136,17 @@ def test_any_mix_in_its_order() -> None:
     assert made["id"].tolist() == [0, 1, 2, 3, 4, 5]
     assert made.dtype == FRAME_DTYPE
     assert made.flags.aligned
+    assert made.flags.owndata
+
+
+def test_blocks_that_share_an_array_are_kept_apart() -> None:
+    def blocks() -> Iterator[canser.FrameArray]:
+        out = np.zeros(1, FRAME_DTYPE)
+        for number in range(3):
+            out["id"] = number
+            yield out
+
+    assert canser.frames(blocks())["id"].tolist() == [0, 1, 2]
 
 
 MASKED = np.ma.MaskedArray(np.zeros(2, FRAME_DTYPE))
