@@ -21,7 +21,7 @@ from can.interfaces.serial.serial_can import SerialBus
 import canser
 import data
 from canser._frames import FrameArray
-from canser.python_can._messages import Row, rows
+from canser.python_can._messages import MessageRow, to_rows
 from canser.python_can.bus import CanserBus
 from measure import Work, machine, paired
 
@@ -93,14 +93,14 @@ def batches(bus: CanserBus, feed: Callable[[], None], count: int) -> FrameArray:
     return canser.concat(found)
 
 
-def bare(arguments: list[Row]) -> None:
+def bare(arguments: list[MessageRow]) -> None:
     """Make the messages, and do nothing else."""
     message = can.Message
     for row in arguments:
         message(*row)
 
 
-def is_right(message: can.Message, row: Row) -> bool:
+def is_right(message: can.Message, row: MessageRow) -> bool:
     return message.equals(can.Message(*row), timestamp_delta=0)
 
 
@@ -111,7 +111,7 @@ def main() -> int:
     args = parser.parse_args()
     count, rounds = args.frames, args.rounds
     frames = data.mixed(count, PROTOCOL)
-    arguments = list(rows(frames))
+    arguments = list(to_rows(frames))
     print(machine())
     with tempfile.NamedTemporaryFile() as file, ExitStack() as stack:
         file.write(canser.encode(frames, PROTOCOL))

@@ -8,11 +8,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from canser._core.stream import Control as Control
+    from canser._display import load_ipython_extension as load_ipython_extension
+    from canser._display import show as show
+    from canser._display import unload_ipython_extension as unload_ipython_extension
     from canser._frames import FRAME_DTYPE as FRAME_DTYPE
     from canser._frames import NO_TIME as NO_TIME
     from canser._frames import FrameArray as FrameArray
     from canser._frames import concat as concat
     from canser._frames import match as match
+    from canser._items import frames as frames
     from canser._protocols import Protocol as Protocol
     from canser._protocols import protocol as protocol
     from canser._protocols import protocols as protocols
@@ -60,9 +64,16 @@ if TYPE_CHECKING:
     from canser.simulation.simulator import SimulatorReport as SimulatorReport
     from canser.timing.clocks import ClockEstimate as ClockEstimate
 
+    __version__: str
+
 # The public names by the module that makes them; type checkers read the imports above.
 _HOMES: Final = {
     "canser._core.stream": ("Control",),
+    "canser._display": (
+        "load_ipython_extension",
+        "show",
+        "unload_ipython_extension",
+    ),
     "canser._frames": (
         "FRAME_DTYPE",
         "NO_TIME",
@@ -70,6 +81,7 @@ _HOMES: Final = {
         "concat",
         "match",
     ),
+    "canser._items": ("frames",),
     "canser._protocols": (
         "Protocol",
         "protocol",
@@ -137,21 +149,21 @@ _HOMES: Final = {
 }
 _HOME: Final = {name: module for module, names in _HOMES.items() for name in names}
 
-__all__ = [*_HOME, "__version__"]  # noqa: PLE0604 - they are strings
+# Otherwise type checkers would take any name for one of these, and `import *` for none.
+if not TYPE_CHECKING:
+    __all__ = [*_HOME, "__version__"]  # noqa: PLE0604 - they are strings
 
+    def __getattr__(name: str) -> Any:
+        if name in _HOME:
+            value = getattr(import_module(_HOME[name]), name)
+        elif name == "__version__":
+            from importlib.metadata import version  # noqa: PLC0415 - slow, and seldom asked for
 
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        value = getattr(import_module(_HOME[name]), name)
-    elif name == "__version__":
-        from importlib.metadata import version  # noqa: PLC0415 - slow to load, and seldom asked for
+            value = version("canser")
+        else:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        globals()[name] = value  # found at once from now on
+        return value
 
-        value = version("canser")
-    else:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = value  # found at once from now on
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+    def __dir__() -> list[str]:
+        return sorted(__all__)

@@ -14,6 +14,7 @@ __all__ = [
     "FRAME_DTYPE",
     "NO_TIME",
     "FrameArray",
+    "check_frames",
     "concat",
     "copy_records",
     "flaw",
@@ -191,18 +192,21 @@ def concat(arrays: Iterable[FrameArray]) -> FrameArray:
         raise TypeError("arrays must be a list of arrays of frames, not one array; pass [array]")
     parts = list(arrays)
     for index, part in enumerate(parts):
-        if not isinstance(part, np.ndarray) or part.dtype != FRAME_DTYPE:
-            raise TypeError(
-                f"arrays[{index}] must be an array of canser.FRAME_DTYPE, not {type_name(part)}"
-            )
-        refuse_mask(part, f"arrays[{index}]")
-        if part.ndim != 1:
-            raise ValueError(f"arrays[{index}] has {part.ndim} dimensions; it must have one")
+        check_frames(part, f"arrays[{index}]")
     joined = np.empty(sum(len(part) for part in parts), FRAME_DTYPE)
     whole = f"V{FRAME_DTYPE.itemsize}"
     if parts:
         np.concatenate([part.view(whole) for part in parts], out=joined.view(whole))
     return joined
+
+
+def check_frames(array: object, name: str) -> None:
+    """Raise unless this is an array of frames with one dimension; it need not be contiguous."""
+    if not isinstance(array, np.ndarray) or array.dtype != FRAME_DTYPE:
+        raise TypeError(f"{name} must be an array of canser.FRAME_DTYPE, not {type_name(array)}")
+    refuse_mask(array, name)
+    if array.ndim != 1:
+        raise ValueError(f"{name} has {array.ndim} dimensions; it must have one")
 
 
 def refuse_mask(array: object, name: str) -> None:

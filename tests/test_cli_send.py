@@ -18,7 +18,7 @@ from serial.tools.list_ports_common import ListPortInfo
 import canser
 import canser.commands._sending
 from canser.commands.cli import main
-from canser.files.candump import Writer, frames_of
+from canser.files.candump import Writer
 from canser.recording.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
 
@@ -45,7 +45,7 @@ def test_send_what_the_call_names(tmp_path: Path, device: "Device") -> None:
     texts = ["123#DEADBEEF", "18FEF100#01.02", "7E0#R8", "001#"]
     with running(tmp_path, *call("send", *texts)) as run:
         assert run.end() == GOOD
-    wanted = canser.encode(frames_of(texts), "seeed")
+    wanted = canser.encode(canser.frames(texts), "seeed")
     assert device.read(len(wanted)) == wanted
     assert run.err == ["4 frames sent to dev"]
     assert run.out == []
@@ -57,7 +57,7 @@ def test_send_configures_first(tmp_path: Path, device: "Device") -> None:
     sent = device.read(26)
     said = canser.adapters.report("seeed", sent[:20])
     assert (said.kind, said.bitrate) == ("configuration", 250_000)
-    assert sent[20:] == canser.encode(frames_of(["123#01"]), "seeed")
+    assert sent[20:] == canser.encode(canser.frames(["123#01"]), "seeed")
     assert run.err == ["1 frame sent to dev"]
 
 
@@ -125,7 +125,7 @@ def test_play_a_log_at_its_times(tmp_path: Path, device: "Device") -> None:
 
 def test_play_tells_what_the_frames_of_a_log_do_not_hold(tmp_path: Path, device: "Device") -> None:
     (tmp_path / "run.log").write_text("(1.0) can0 123#11\n(1.0) can1 123#22\n")
-    wanted = canser.encode(frames_of(["123#11", "123#22"]), "seeed")
+    wanted = canser.encode(canser.frames(["123#11", "123#22"]), "seeed")
     with running(tmp_path, *call("play", "run.log")) as run:
         assert device.read(len(wanted)) == wanted
         assert run.end() == GOOD
@@ -133,7 +133,7 @@ def test_play_tells_what_the_frames_of_a_log_do_not_hold(tmp_path: Path, device:
 
 
 def test_times_go_out_from_zero_on(tmp_path: Path, device: "Device") -> None:
-    frames = frames_of(["123#01", "124#02", "125#03"])
+    frames = canser.frames(["123#01", "124#02", "125#03"])
     frames["ts"] = np.array([1_700_000_000_000, 1_700_000_000_100, 1_700_000_000_300]) * 1_000_000
     write_log(tmp_path / "run.log", frames)
     with running(tmp_path, *call("play", "run.log", "--speed", "2", protocol="serial")) as run:
@@ -163,7 +163,7 @@ def test_play_raw_bytes_as_fast_as_the_line_takes_them(tmp_path: Path, device: "
 
 
 def test_play_over_and_over_until_a_signal(tmp_path: Path, device: "Device") -> None:
-    frames = frames_of(["123#01", "124#02"])
+    frames = canser.frames(["123#01", "124#02"])
     frames["ts"] = [0, 5_000_000]
     write_log(tmp_path / "run.log", frames)
     wanted = canser.encode(frames, "seeed")
@@ -174,7 +174,7 @@ def test_play_over_and_over_until_a_signal(tmp_path: Path, device: "Device") -> 
 
 
 def test_play_with_a_gap(tmp_path: Path, device: "Device") -> None:
-    frames = frames_of(["123#01"] * 5)
+    frames = canser.frames(["123#01"] * 5)
     frames["ts"] = 0
     (tmp_path / "run.bin").write_bytes(canser.encode(frames, "serial"))
     with running(tmp_path, *call("play", "run.bin", "--gap", "20", protocol="serial")) as run:
@@ -208,7 +208,7 @@ MIXED = "(0.0) can0 123#01\n(0.1) can0 20000080#00\n(0.2) can0 124#02\n"
 
 def test_play_leaves_out_what_the_protocol_cannot_carry(tmp_path: Path, device: "Device") -> None:
     (tmp_path / "run.log").write_text(MIXED)
-    wanted = canser.encode(frames_of(["123#01", "124#02"]), "seeed")
+    wanted = canser.encode(canser.frames(["123#01", "124#02"]), "seeed")
     with running(tmp_path, *call("play", "run.log")) as run:
         assert device.read(len(wanted)) == wanted
         assert run.end() == GOOD
@@ -253,7 +253,7 @@ def test_play_looks_at_a_pipe_block_by_block(
         feeder = threading.Thread(target=feed, args=(run.process.stdin, log.encode()))
         feeder.start()
         if not strict:
-            wanted = canser.encode(frames_of(["123#01"] * 20_000 + ["124#02"]), "seeed")
+            wanted = canser.encode(canser.frames(["123#01"] * 20_000 + ["124#02"]), "seeed")
             assert device.read(len(wanted)) == wanted
             assert run.end() == GOOD
             assert run.err[:2] == [
@@ -261,7 +261,7 @@ def test_play_looks_at_a_pipe_block_by_block(
                 "20,001 frames sent to dev",
             ]
         else:
-            one = canser.encode(frames_of(["123#01"]), "seeed")
+            one = canser.encode(canser.frames(["123#01"]), "seeed")
             heard = b""
             while run.process.poll() is None or device.hears():
                 heard += device.read_some() if device.hears(0.05) else b""
@@ -285,7 +285,7 @@ def test_a_pipe_that_turns_bad_is_sent_up_to_there(tmp_path: Path, device: "Devi
         assert run.process.stdin is not None
         feeder = threading.Thread(target=feed, args=(run.process.stdin, log.encode()))
         feeder.start()
-        one = canser.encode(frames_of(["123#01"]), "seeed")
+        one = canser.encode(canser.frames(["123#01"]), "seeed")
         sent = 16_384  # the frames of a block
         assert device.read(len(one) * sent) == one * sent
         assert run.end() == BAD_DATA
@@ -295,7 +295,7 @@ def test_a_pipe_that_turns_bad_is_sent_up_to_there(tmp_path: Path, device: "Devi
 
 
 def test_remarks_are_not_repeated_each_round(tmp_path: Path, device: "Device") -> None:
-    frames = frames_of(["123#01", "124#02"])
+    frames = canser.frames(["123#01", "124#02"])
     raw = canser.encode(frames, "seeed")
     info = RecordingInfo("seeed", 115_200, None, "ms", "/dev/other")
     with RecordingWriter(tmp_path / "run.pcapng", info) as recording:
@@ -311,7 +311,7 @@ def test_remarks_are_not_repeated_each_round(tmp_path: Path, device: "Device") -
 
 def test_a_file_that_is_gone_in_a_later_round_ends_it(tmp_path: Path, device: "Device") -> None:
     (tmp_path / "run.log").write_text("(0.0) can0 123#01\n(0.5) can0 124#02\n")
-    raw = canser.encode(frames_of(["123#01", "124#02"]), "seeed")
+    raw = canser.encode(canser.frames(["123#01", "124#02"]), "seeed")
     with running(tmp_path, *call("play", "run.log", "--loop")) as run:
         assert device.read(len(raw)) == raw
         (tmp_path / "run.log").unlink()
@@ -345,7 +345,7 @@ def test_a_terminal_that_is_not_read(
     name: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    frames = frames_of(["123#0102030405060708"] * 4000)
+    frames = canser.frames(["123#0102030405060708"] * 4000)
     (tmp_path / "run.bin").write_bytes(canser.encode(frames, "seeed"))
     what = ["run.bin"] if name == "play" else ["123#0102030405060708"] * 4000
     code, line = fails(capfd, *call(name, *what))
@@ -367,7 +367,7 @@ def test_a_server_that_does_not_read(
     monkeypatch.chdir(tmp_path)
     count = 20_000
     one = "123#0102030405060708"
-    (tmp_path / "run.bin").write_bytes(canser.encode(frames_of([one] * count), "seeed"))
+    (tmp_path / "run.bin").write_bytes(canser.encode(canser.frames([one] * count), "seeed"))
     with socket.socket() as server:
         server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         server.bind(("127.0.0.1", 0))

@@ -20,7 +20,6 @@ import canser
 from canser._frames import FrameArray
 from canser.commands.cli import main
 from canser.commands.simulate import _traffic
-from canser.files.candump import frames_of
 from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import damage, vehicle
 
@@ -230,7 +229,7 @@ def test_what_the_protocol_cannot_carry_is_left_out_and_counted(tmp_path: Path, 
         threading.Thread(target=path.write_text, args=(LOG,), daemon=True).start()
     else:
         path.write_text(LOG)
-    wanted = canser.encode(frames_of(["123#01", "124#02"]), "seeed")
+    wanted = canser.encode(canser.frames(["123#01", "124#02"]), "seeed")
     with simulate(tmp_path, "-p", "seeed", "--traffic", "run.log") as command:
         assert read(command.url, len(wanted)) == wanted
         code, err, _ = command.end()

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canser._rows import Row
 from canser.errors import FormatError
 from canser.files import _text
 from canser.files._remarks import Unkept
@@ -100,7 +101,7 @@ def test_what_is_no_number_is_an_error(text: str) -> None:
 def test_rows_come_in_blocks_that_together_are_all_rows() -> None:
     count = 2 * _text._BLOCK + 1
 
-    def rows() -> Iterator[_text.Row]:
+    def rows() -> Iterator[Row]:
         for number in range(count):
             yield (number % 0x800, False, False, 1, False, bytes([number % 256]), number)
 

@@ -18,14 +18,14 @@ PACKAGE = Path(canser.__file__).parent
 FLOORS = [
     ["_checks", "_guards", "_named", "_progress", "_signals", "errors"],
     ["_frames", "_input", "_output", "_threads"],
-    ["_core"],
-    ["_protocols"],
-    ["adapters", "codec"],
+    ["_core", "_rows"],
+    ["_notation", "_protocols"],
+    ["_items", "adapters", "codec"],
     ["simulation", "timing"],
     ["recording"],
     ["files"],
     ["live"],
-    ["analysis"],
+    ["_display", "analysis"],
     ["", "monitoring", "python_can"],
     ["commands"],
     ["__main__"],
@@ -165,7 +165,7 @@ def test_protocols_are_named_in_c_only() -> None:
 
 
 # What arrays of frames are called in the package.
-FRAMES = {"frames", "batch", "block", "room", "rows", "records", "out", "_out", "frames_of"}
+FRAMES = {"frames", "batch", "block", "room", "rows", "records", "out", "_out", "rows_to_frames"}
 
 
 @pytest.mark.parametrize("tree", [tree for _, tree in MODULES], ids=[name for name, _ in MODULES])

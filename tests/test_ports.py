@@ -704,6 +704,23 @@ def test_frames_without_a_time_are_sent_with_that_since_the_start() -> None:
         assert frames["ts"][0] == canser.NO_TIME
 
 
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_what_stands_for_frames_is_sent(protocol: str) -> None:
+    texts = ["123#DEADBEEF", "001#", "7E0#R8"]
+    frames = canser.frames(texts)
+    frames["ts"] = 0
+    size = len(canser.encode(frames, protocol))
+    with plugged(protocol) as (device, port):
+        assert port.send("123#DEADBEEF") == 1
+        assert port.send([(0x001, b""), frames[2]]) == 2
+        assert port.send([]) == 0
+        sent = canser.decode(device.read(size), protocol)
+        assert content(sent) == content(frames)
+        with pytest.raises(ValueError, match="'124##0' is CAN FD"):
+            port.send(["123#", "124##0"])
+        assert not device.hears()
+
+
 @pytest.mark.parametrize("protocol", canser.protocols())
 def test_a_mask_is_never_lost_in_silence(protocol: str) -> None:
     frames = np.zeros(4, canser.FRAME_DTYPE)
@@ -731,7 +748,7 @@ def test_a_frame_that_cannot_be_encoded_sends_nothing() -> None:
             port.send(array(Frame(1), Frame(2, ext=True)))
         assert not device.hears()
         with pytest.raises(TypeError):
-            port.send([1])  # type: ignore[arg-type]
+            port.send([1])  # type: ignore[list-item]
 
 
 def test_what_could_not_be_sent_is_counted_and_the_next_packet_is_whole() -> None:

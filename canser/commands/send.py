@@ -3,11 +3,11 @@
 import argparse
 
 from canser._frames import copy_records
+from canser._items import frames as make_frames
 from canser.codec.decoder import encode
 from canser.commands._parser import GOOD, CallError, Commands, add_command, say
 from canser.commands._port import open_port, port_arguments
 from canser.commands._sending import Sender
-from canser.files.candump import frames_of
 
 __all__ = ["add"]
 
@@ -34,7 +34,7 @@ def add(commands: Commands) -> None:
 
 def run(args: argparse.Namespace) -> int:
     try:
-        frames = frames_of(args.frames)
+        frames = make_frames(args.frames)
         # What the format cannot carry is told before a port is opened.
         timed = copy_records(frames)
         timed["ts"] = 0

@@ -13,7 +13,8 @@ from typing import BinaryIO, Final
 import numpy as np
 import numpy.typing as npt
 
-from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, flaw
+from canser._frames import NO_TIME, FrameArray
+from canser._rows import Row, rows_to_frames
 from canser.errors import FormatError
 from canser.files._remarks import Unkept
 
@@ -125,35 +126,6 @@ def parse_seconds(text: str) -> int:
     if not -(2**63) < ts < 2**63:
         raise ValueError(f"the time {text.strip()[:60]} does not fit 64 bits of nanoseconds")
     return ts
-
-
-# The fields of a record but for the padding of data: id ext rtr dlc err data ts.
-Row = tuple[int, bool, bool, int, bool, bytes, int]
-
-
-def rows_to_frames(rows: list[Row]) -> FrameArray:
-    """Return parsed rows as frames."""
-    frames = np.zeros(len(rows), FRAME_DTYPE)
-    if rows:
-        ids, exts, rtrs, dlcs, errs, data, ts = zip(*rows, strict=True)
-        frames["id"], frames["ext"], frames["rtr"] = ids, exts, rtrs
-        frames["dlc"], frames["err"], frames["ts"] = dlcs, errs, ts
-        padded = b"".join(one.ljust(8, b"\0") for one in data)
-        frames["data"] = np.frombuffer(padded, np.uint8).reshape(-1, 8)
-    return frames
-
-
-def check_row(row: Row) -> Row:
-    """Return a parsed row if it is a CAN frame, or raise ValueError."""
-    arbitration_id, ext, rtr, dlc, _, data, _ = row
-    found = flaw(arbitration_id, ext, dlc)
-    if found is not None:
-        raise ValueError(found)
-    if rtr and data:
-        raise ValueError(f"a remote frame has no data, but there are {len(data)} bytes")
-    if not rtr and len(data) != dlc:
-        raise ValueError(f"the dlc is {dlc}, but there are {len(data)} bytes of data")
-    return row
 
 
 def in_blocks(rows: Iterator[Row]) -> Iterator[FrameArray]:

@@ -19,14 +19,16 @@ known is written as 0. `Writer` counts both.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, BinaryIO, Final
+from collections.abc import Iterator
+from typing import BinaryIO, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from canser import _notation
 from canser._frames import NO_TIME, FrameArray
 from canser._input import Input
+from canser._rows import Row
 from canser.errors import FormatError
 from canser.files import _text
 from canser.files._remarks import Tell, Unkept, tell_all
@@ -44,19 +46,10 @@ cannot_hold: Final = (
     "whether an error frame is extended, where its id is up to 0x7FF",
 )
 
-_ERR = 0x2000_0000
-
-# Groups: the id, the R of a remote frame and its dlc, the data, a raw dlc.
-_FRAME_PATTERN = (
-    r"([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
-    r"(?:([Rr])([0-8])?|((?:[0-9A-Fa-f]{2}(?:\.?[0-9A-Fa-f]{2})*)?))"
-    r"(?:_([9A-Fa-f]))?"
-)
-_FRAME = re.compile(_FRAME_PATTERN)
 # Groups: the time, the channel, those of a frame, the direction.
 _LINE = re.compile(
     r"\((-?[0-9]+(?:\.[0-9]+)?)\)[ \t]+([^\s\0-\x1f\x7f]+)[ \t]+"
-    rf"{_FRAME_PATTERN}(?:[ \t]+([RT]))?"
+    rf"{_notation.PATTERN}(?:[ \t]+([RT]))?"
 )
 
 
@@ -100,7 +93,7 @@ class Writer:
 
         err = frames["err"]
         long = frames["ext"] | err
-        flagged: npt.NDArray[np.uint32] = frames["id"] | err * np.uint32(_ERR)
+        flagged: npt.NDArray[np.uint32] = frames["id"] | err * np.uint32(_notation.ERR_FLAG)
         ids = _text.hexadecimal(flagged, 8)
         ids[:, :5][~long] = 0
         remote = np.zeros((len(frames), 2), np.uint8)
@@ -139,74 +132,21 @@ def parse(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[Frame
     tell_all(unkept.remarks(), name, tell)
 
 
-def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[_text.Row]:
+def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[Row]:
     for number, text in _text.lines(file, name, unkept):
         found = _LINE.fullmatch(text)
         if not found:
             if text.startswith("#"):
                 continue
             raise FormatError(
-                f"{name}, line {number}: {text[:60]!r} is {_kind(text)}; "
+                f"{name}, line {number}: {text[:60]!r} is {_notation.not_read(text)}; "
                 "canser reads lines such as (1544106679.432583) can0 562#122DF953"
             )
         ts, channel, *notation, raw_dlc, direction = found.groups()
         try:
-            yield _check_frame((*notation, raw_dlc), _text.parse_seconds(ts))
+            yield _notation.groups_to_row((*notation, raw_dlc), _text.parse_seconds(ts))
         except ValueError as error:
             raise FormatError(f"{name}, line {number}: {error}") from None
         unkept.add(channel, direction or "")
         if raw_dlc:
             unkept.raw_dlcs += 1
-
-
-def frames_of(texts: Iterable[str]) -> FrameArray:
-    """Return the frames of texts such as 123#DEADBEEF, 18FEF100#, 123#R8 or 20000080#00.
-
-    Their times are not known. ValueError names the first text that is no frame of classic CAN.
-    """
-    rows = []
-    for text in texts:
-        found = _FRAME.fullmatch(text)
-        if not found:
-            raise ValueError(
-                f"{text!r} is {_kind(text)}; write 123#DEADBEEF, 18FEF100#01 (extended: eight "
-                "digits), 123#R8 (remote)"
-            )
-        *_, raw_dlc = groups = found.groups()
-        try:
-            if raw_dlc:
-                raise ValueError("canser sends no raw dlc; leave _ and the digit behind it out")
-            rows.append(_check_frame(groups, NO_TIME))
-        except ValueError as error:
-            raise ValueError(f"{text!r}: {error}") from None
-    return _text.rows_to_frames(rows)
-
-
-def _kind(text: str) -> str:
-    """Say what a text is that is not read."""
-    return "CAN FD or CAN XL" if text.count("#") > 1 else "no frame"
-
-
-def _check_frame(groups: Sequence[str | Any], ts: int) -> _text.Row:
-    """Return the frame of the groups of `_FRAME`; ValueError if it is none of classic CAN."""
-    digits, rtr, rtr_dlc, data_digits, raw_dlc = groups
-    number_of_id = int(digits, 16)
-    ext = len(digits) == 8
-    err = ext and bool(number_of_id & _ERR)
-    data = bytes.fromhex(data_digits.replace(".", "")) if data_digits else b""
-    dlc = int(rtr_dlc or 0) if rtr else len(data)
-    if raw_dlc and dlc != 8:
-        raise ValueError(f"a raw dlc (_{raw_dlc}) needs 8 bytes, but the dlc is {dlc}")
-    return _text.check_row(
-        (
-            # Above 29 bits only the flags stand that an id of eight digits may have.
-            number_of_id & 0x1FFFFFFF if err else number_of_id,
-            # An error frame has eight digits because of its flag.
-            ext and (not err or number_of_id & 0x1FFFFFFF > 0x7FF),
-            bool(rtr),
-            dlc,
-            err,
-            data,
-            ts,
-        )
-    )

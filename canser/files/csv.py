@@ -22,6 +22,7 @@ import numpy as np
 
 from canser._frames import NO_TIME, FrameArray
 from canser._input import Input
+from canser._rows import Row, check_row
 from canser.errors import FormatError
 from canser.files import _text
 from canser.files._remarks import Tell, Unkept, tell_all
@@ -139,7 +140,7 @@ def parse(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[Frame
     tell_all(unkept.remarks(), name, tell)
 
 
-def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[_text.Row]:
+def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[Row]:
     numbered = _text.lines(file, name, unkept)
     try:
         first, header = next(numbered)
@@ -162,7 +163,7 @@ def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[_text.Row]:
             fields = next(csv.reader([text], strict=True, skipinitialspace=True))
             if len(fields) != len(names):
                 raise ValueError(f"{len(fields)} fields where the header has {len(names)}")
-            yield _text.check_row(_row([fields[place] for place in places]))
+            yield check_row(_row([fields[place] for place in places]))
         except (ValueError, csv.Error) as error:
             raise FormatError(f"{name}, line {number}: {error}") from None
         unkept.add(
@@ -218,7 +219,7 @@ _COLUMNS: Final[tuple[tuple[Callable[[str], Any], str], ...]] = (
 )
 
 
-def _row(fields: list[str]) -> _text.Row:
+def _row(fields: list[str]) -> Row:
     values = []
     for name, text, (parse, kind) in zip(COLUMNS, fields, _COLUMNS, strict=True):
         try:

@@ -22,6 +22,8 @@ from canser._core.buffers import BytesLike, as_bytes, input_frames, output_frame
 from canser._core.table import find_protocol
 from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_records
 from canser._guards import Uncopied
+from canser._items import FrameItems
+from canser._items import frames as make_frames
 from canser.adapters import AdapterReport
 from canser.codec.decoder import Control, Decoder, Stats, decode, encode
 from canser.errors import PortClosedError, PortError, SendError, SendTimeoutError
@@ -375,10 +377,11 @@ class Port(Uncopied):
 
     # Writing
 
-    def send(self, frames: FrameArray, *, timeout: float | None = None) -> int:
+    def send(self, frames: FrameItems, *, timeout: float | None = None) -> int:
         """Send frames, as fast as the line takes them; return how many, all of them.
 
-        `frames` as for `encode`; a time that is not known goes out as the time since the
+        `frames`: an array of FRAME_DTYPE, shape (n,), contiguous; or what `canser.frames` makes
+        one of, such as "123#DEADBEEF". A time that is not known goes out as the time since the
         port was opened. Returns when the system has taken the last byte. `timeout`: seconds
         for the whole.
 
@@ -389,6 +392,8 @@ class Port(Uncopied):
         """
         self._check_open()
         timeout = check_timeout(timeout)
+        if not isinstance(frames, np.ndarray):
+            frames = make_frames(frames)
         input_frames(frames)  # before its times are asked for
         if self._clocked:
             unknown = frames["ts"] == NO_TIME

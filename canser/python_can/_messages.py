@@ -1,26 +1,20 @@
-"""Frames as the arguments of python-can's `Message`, and back."""
+"""Frames as the arguments of python-can's `Message`."""
 
-import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from itertools import repeat
 from operator import add, getitem
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
-import numpy as np
+from canser._frames import NO_TIME, FrameArray
 
-from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray
-
-__all__ = ["Row", "frames_of", "rows"]
+__all__ = ["MessageRow", "to_rows"]
 
 # The first arguments of `can.Message`, in its order: timestamp, arbitration_id,
 # is_extended_id, is_remote_frame, is_error_frame, channel, dlc, data.
-Row: TypeAlias = tuple[float, int, bool, bool, bool, None, int, bytearray]
-
-_RECORD: Final = struct.Struct("=I??B?8sq")
-assert _RECORD.size == FRAME_DTYPE.itemsize
+MessageRow: TypeAlias = tuple[float, int, bool, bool, bool, None, int, bytearray]
 
 
-def rows(frames: FrameArray) -> Iterator[Row]:
+def to_rows(frames: FrameArray) -> Iterator[MessageRow]:
     """Return the arguments of a `Message` for each frame.
 
     A time in seconds is the float that is nearest; one that is not known is 0, as that of a
@@ -45,12 +39,3 @@ def rows(frames: FrameArray) -> Iterator[Row]:
         map(getitem, repeat(data), map(slice, starts, map(add, starts, dlc))),
         strict=False,
     )
-
-
-def frames_of(contents: Iterable[tuple[int, int, bool, bool, bool, int, bytes]]) -> FrameArray:
-    """Return frames, read-only, of what each has: ts, id, ext, rtr, err, dlc, data."""
-    raw = b"".join(
-        _RECORD.pack(arbitration_id, ext, rtr, dlc, err, data, ts)
-        for ts, arbitration_id, ext, rtr, err, dlc, data in contents
-    )
-    return np.frombuffer(raw, FRAME_DTYPE)

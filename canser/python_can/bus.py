@@ -17,12 +17,14 @@ from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 from canser._checks import timeout as check_timeout
 from canser._checks import whole
 from canser._core.table import find_protocol
-from canser._frames import NO_TIME, FrameArray, copy_records, flaw
+from canser._frames import NO_TIME, FrameArray
 from canser._guards import Uncopied
+from canser._items import message_to_row
 from canser._protocols import protocols, tick_ns
+from canser._rows import rows_to_frames
 from canser.errors import PortError, SendTimeoutError
 from canser.live import ports
-from canser.python_can._messages import Row, frames_of, rows
+from canser.python_can._messages import MessageRow, to_rows
 
 __all__ = ["CanserBus"]
 
@@ -148,7 +150,7 @@ class CanserBus(Uncopied, can.BusABC):
         self.channel_info = f"{channel}, {row.name}"
         self._can_protocol = can.CanProtocol.CAN_20
         self._rules: list[_Rule] = []
-        self._queue: deque[Row] = deque()
+        self._queue: deque[MessageRow] = deque()
         self._sieve: object = None  # the filters that all in the queue have passed
         self._watched = False  # somebody has the descriptor
         self._lock = Lock()  # for the queue as a whole; not held while anybody waits
@@ -177,7 +179,7 @@ class CanserBus(Uncopied, can.BusABC):
         with self._lock:
             # Another thread may have put some there, by other filters.
             self._sieve = None if self._queue and sieve is not self._sieve else sieve
-            self._queue.extend(rows(frames))
+            self._queue.extend(to_rows(frames))
         if self._watched:
             self._set_ready()
 
@@ -208,17 +210,16 @@ class CanserBus(Uncopied, can.BusABC):
         max_frames = whole(max_frames, "max_frames", "4096", least=1)
         if not self._queue:
             return self._read(max_frames, timeout)
-        taken: list[Row] = []
+        taken: list[MessageRow] = []
         with self._lock:
             while self._queue and len(taken) < max_frames:
                 taken.append(self._queue.popleft())
         if self._watched:
             self._set_ready()
-        read_only = frames_of(
-            (round(ts * 1e9), number, ext, rtr, err, dlc, bytes(data))
+        frames = rows_to_frames(
+            (number, ext, rtr, dlc, err, bytes(data), round(ts * 1e9))
             for ts, number, ext, rtr, err, _, dlc, data in taken
         )
-        frames = copy_records(read_only)
         return frames.compress(self._passes(frames)) if self._rules else frames
 
     def _apply_filters(self, filters: CanFilters | None) -> None:
@@ -248,31 +249,8 @@ class CanserBus(Uncopied, can.BusABC):
         CanTimeoutError if the line does not take it in time, CanOperationError if the
         device is gone or the bus is shut down.
         """
-        rtr, dlc, data = msg.is_remote_frame, msg.dlc, bytes(msg.data)
-        if msg.is_fd:
-            raise ValueError("the message is one of CAN FD; serial adapters know classic CAN only")
-        wrong = flaw(msg.arbitration_id, msg.is_extended_id, dlc)
-        if wrong is not None:
-            raise ValueError(wrong)
-        if len(data) != (0 if rtr else dlc):
-            raise ValueError(f"the message has {len(data)} bytes of data, but its dlc is {dlc}")
         ts = self._ticking(msg.timestamp) if self._clocked else NO_TIME
-        self._send(
-            frames_of(
-                [
-                    (
-                        ts,
-                        msg.arbitration_id,
-                        msg.is_extended_id,
-                        rtr,
-                        msg.is_error_frame,
-                        dlc,
-                        data,
-                    )
-                ]
-            ),
-            timeout,
-        )
+        self._send(rows_to_frames([message_to_row(msg, ts)]), timeout)
 
     def send_batch(self, frames: FrameArray, *, timeout: float | None = None) -> int:
         """Send frames, an array of `canser.FRAME_DTYPE`, as `canser.Port.send`; return how many.

@@ -17,7 +17,7 @@ from canser.errors import CanserWarning
 from canser.files.judge import AUTO
 from canser.files.reader import ReadOptions
 from canser.files.reading import Blocks, Source
-from canser.python_can._messages import rows
+from canser.python_can._messages import to_rows
 
 __all__ = ["CaptureReader"]
 
@@ -70,7 +70,7 @@ class CaptureReader(BinaryIOMessageReader):
 
     def __iter__(self) -> Iterator[can.Message]:
         for frames in self._blocks:
-            yield from starmap(can.Message, rows(frames))
+            yield from starmap(can.Message, to_rows(frames))
         remarks = self._blocks.remarks
         if self._blocks.doubt and not self._as_is:
             remarks.append(f"{self._blocks.doubt}; as_is=True accepts them")
