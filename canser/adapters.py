@@ -12,13 +12,8 @@ __all__ = [
     "FRAME_TYPES",
     "MODE_NAMES",
     "AdapterReport",
-    "baudrate",
-    "bitrates",
     "configuration",
-    "configures",
-    "ping",
     "report",
-    "status_request",
 ]
 
 # By whether extended frames are the only ones.
@@ -51,31 +46,6 @@ class AdapterReport:
     fixed: bool | None = None
 
 
-def baudrate(protocol: str) -> int:
-    """Return the rate of the serial line in bit/s that the adapters come with."""
-    return find_protocol(protocol).baudrate
-
-
-def bitrates(protocol: str) -> tuple[int, ...]:
-    """Return the rates of the bus in bit/s that an adapter can be configured to, or none."""
-    return find_protocol(protocol).bitrates
-
-
-def configures(protocol: str) -> bool:
-    """Return whether the protocol's adapters take a configuration."""
-    return bool(bitrates(protocol))
-
-
-def ping(protocol: str) -> bytes:
-    """Return the packet that an adapter sends straight back, b"" if there is none."""
-    return find_protocol(protocol).ping
-
-
-def status_request(protocol: str) -> bytes:
-    """Return the packet that an adapter answers with its status, b"" if there is none."""
-    return find_protocol(protocol).status_request
-
-
 def configuration(
     protocol: str,
     *,
@@ -100,7 +70,7 @@ def configuration(
     TypeError for one of another type.
     """
     row = find_protocol(protocol)
-    if not row.bitrates:
+    if not row.configures:
         raise ValueError(f"{row.name} adapters take no configuration; leave bitrate out")
     rate = whole(bitrate, "bitrate", "500000")
     if rate not in row.bitrates:

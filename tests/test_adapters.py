@@ -64,15 +64,15 @@ def control_of(raw: bytes, protocol: str) -> bytes:
 
 
 def test_the_line() -> None:
-    rates = {protocol: adapters.baudrate(protocol) for protocol in canser.protocols()}
+    rates = {name: canser.protocol(name).baudrate for name in canser.protocols()}
     assert rates == {"cantalope": 115_200, "seeed": 2_000_000, "serial": 115_200}
-    assert adapters.baudrate("waveshare") == 2_000_000
+    assert canser.protocol("waveshare").baudrate == 2_000_000
 
 
 def test_who_takes_a_configuration() -> None:
-    taken = {protocol: adapters.bitrates(protocol) for protocol in canser.protocols()}
+    taken = {name: canser.protocol(name).bitrates for name in canser.protocols()}
     assert taken == {"cantalope": (), "seeed": tuple(BITRATES), "serial": ()}
-    assert [name for name in taken if adapters.configures(name)] == ["seeed"]
+    assert [name for name in taken if canser.protocol(name).configures] == ["seeed"]
 
 
 def test_a_real_trace() -> None:
@@ -154,7 +154,7 @@ def test_python_can_sends_the_same() -> None:
         assert bus.ser.getvalue() == ours
     bus.ser = io.BytesIO()
     bus.status_frame()
-    assert bus.ser.getvalue() == adapters.status_request("seeed")
+    assert bus.ser.getvalue() == canser.protocol("seeed").status_request
 
 
 def test_by_default_all_frames_at_500k() -> None:
@@ -234,16 +234,17 @@ def test_no_configuration(protocol: str) -> None:
 
 
 def test_ping() -> None:
-    assert adapters.ping("cantalope") == b"\xff\xff\0"
-    assert adapters.ping("seeed") == adapters.ping("serial") == b""
-    control = control_of(adapters.ping("cantalope"), "cantalope")
+    pings = {name: canser.protocol(name).ping for name in canser.protocols()}
+    assert pings == {"cantalope": b"\xff\xff\0", "seeed": b"", "serial": b""}
+    control = control_of(pings["cantalope"], "cantalope")
     assert adapters.report("cantalope", control) == AdapterReport("ping")
 
 
 def test_status_request() -> None:
-    request = adapters.status_request("seeed")
+    requests = {name: canser.protocol(name).status_request for name in canser.protocols()}
+    request = requests["seeed"]
     assert request == bytes.fromhex("AA 55 04") + bytes(16) + b"\x04"
-    assert adapters.status_request("cantalope") == adapters.status_request("serial") == b""
+    assert requests["cantalope"] == requests["serial"] == b""
     report = adapters.report("seeed", control_of(request, "seeed"))
     assert report == AdapterReport("status", receive_errors=0, transmit_errors=0)
 
@@ -315,11 +316,7 @@ def test_a_report_is_frozen() -> None:
 
 def test_unknown_protocols() -> None:
     for call in (
-        adapters.baudrate,
-        adapters.bitrates,
-        adapters.configures,
-        adapters.ping,
-        adapters.status_request,
+        canser.protocol,
         adapters.configuration,
         lambda name: adapters.report(name, b""),
     ):

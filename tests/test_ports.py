@@ -606,7 +606,7 @@ def test_a_status_is_asked_for_and_no_frame_is_lost() -> None:
         device.feed(raw[:5000])
         until(lambda: waiting(port) == 5000)
         asker = Background(lambda: port.request_status(timeout=PATIENCE))
-        assert device.read(20) == canser.adapters.status_request("seeed")
+        assert device.read(20) == canser.protocol("seeed").status_request
         device.feed(raw[5000:] + STATUS)
         report = asker.join().result
         assert isinstance(report, canser.adapters.AdapterReport)

@@ -138,7 +138,7 @@ def test_traffic_that_does_not_come_keeps_neither_answers_nor_the_end() -> None:
         yield FRAMES[:10]
         more.wait(PATIENCE)
 
-    ping = adapters.ping("cantalope")
+    ping = canser.protocol("cantalope").ping
     with Simulator("cantalope", parts(), pace="max") as device, host(device) as one:
         one.read(len(canser.encode(FRAMES[:10], "cantalope")))
         assert not device.finished
@@ -398,7 +398,7 @@ def test_a_stall_is_silence_at_its_byte() -> None:
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_ping_and_status_come_straight_back_between_two_frames(protocol: str) -> None:
-    asked = adapters.ping(protocol) + adapters.status_request(protocol)
+    asked = canser.protocol(protocol).ping + canser.protocol(protocol).status_request
     with (
         Simulator(protocol, FRAMES, loop=True, pace="max") as device,
         host(device) as one,
@@ -419,7 +419,7 @@ def test_ping_and_status_come_straight_back_between_two_frames(protocol: str) ->
 
 
 def test_a_deaf_one_counts_and_says_nothing() -> None:
-    ping = adapters.ping("cantalope")
+    ping = canser.protocol("cantalope").ping
     with Simulator("cantalope", deaf=True) as device, host(device) as one:
         one.write(ping)
         until(lambda: device.report().controls == {"ping": 1})

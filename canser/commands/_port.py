@@ -5,7 +5,7 @@ import re
 from typing import Final
 
 from canser import adapters
-from canser._protocols import TS_UNITS, protocols
+from canser._protocols import TS_UNITS, protocol, protocols
 from canser.commands._numbers import duration, whole
 from canser.commands._parser import CallError, Parser, protocol_name
 from canser.errors import PortBusyError, PortDeniedError, PortNotFoundError
@@ -124,7 +124,7 @@ def open_port(args: argparse.Namespace, *, tap: Tap | None = None) -> Port:
         "once": False,
     }
     # An adapter that cannot be set has its bit rate from somewhere; it still tells the load.
-    told = plain and not adapters.configures(args.protocol)
+    told = plain and not protocol(args.protocol).configures
     try:
         return ports.open(
             args.channel,

@@ -51,6 +51,7 @@ import numpy as np
 
 from canser import adapters
 from canser._frames import FRAME_DTYPE, FrameArray, match
+from canser._protocols import protocol
 from canser._signals import Stop, stop_on_signals
 from canser.commands import _report as report
 from canser.commands._numbers import byte_count, duration, whole
@@ -194,7 +195,7 @@ def _recorder(args: argparse.Namespace) -> Recorder:
         raise CallError("--before and --after are about a trigger; name one with --trigger")
     info = RecordingInfo(
         protocol=args.protocol,
-        baudrate=args.baudrate or adapters.baudrate(args.protocol),
+        baudrate=args.baudrate or protocol(args.protocol).baudrate,
         bitrate=args.bitrate,
         ts_unit=args.ts_unit,
         device=args.channel,

@@ -103,12 +103,12 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
         greeting = adapters.configuration(row.name, bitrate=bitrate, **settings)
     elif settings != _UNSET:
         raise ValueError("the adapter is configured as a whole: give its bitrate, too")
-    rate = adapters.baudrate(row.name)
+    rate = row.baudrate
     if baudrate is not None:
         rate = whole(baudrate, "baudrate", "115200", least=1)
     if flag(device_time, "device_time") and not row.has_clock:
         raise ValueError(f"{row.name} frames carry no device time; leave device_time out")
-    if ping is not None and not adapters.ping(row.name):
+    if ping is not None and not row.ping:
         raise ValueError(f"{row.name} adapters know no ping; leave ping out")
     if ping is not None and not 0 < real(ping, "ping", "1.0") < math.inf:
         raise ValueError(f"ping is {ping}; it must be more than 0 seconds, and not infinite")
@@ -202,7 +202,7 @@ class Port(Uncopied):
             self._clock,
             byte_s=_BITS / baudrate,
             reconnect=reconnect,
-            beat=adapters.ping(decoder.protocol) if ping is not None else b"",
+            beat=row.ping if ping is not None else b"",
             beat_s=self._ping_s,
         )
         self._closed = False
@@ -488,7 +488,7 @@ class Port(Uncopied):
         Frames that come meanwhile are returned by the next reads. ValueError where the
         protocol knows no status; PortError when no answer comes.
         """
-        request = adapters.status_request(self.protocol)
+        request = find_protocol(self.protocol).status_request
         if not request:
             raise ValueError(f"{self.protocol} adapters know no status request")
         deadline = _deadline(timeout)

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from canser import adapters
+from canser._core.table import find_protocol
 from canser._frames import FrameArray
 from canser.adapters import AdapterReport
 from canser.codec.decoder import Control, Decoder
@@ -65,7 +66,7 @@ class LiveStream:
         self._device_time = device_time
         self._untold: deque[Piece] = deque()  # not given to the tap yet
         self._missing = 0  # bytes lost before the next piece; -1: nobody knows how many
-        self._ping = adapters.ping(decoder.protocol) if ping_s else b""
+        self._ping = find_protocol(decoder.protocol).ping if ping_s else b""
         self._patience_ns = int(ping_s * _PATIENCE * 1e9)
         self._asked = 0  # when the ping went out that shall come back; 0 for none
         self._answered = 0  # when the last ping came back
