@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from canser._protocols import Protocol as Protocol
     from canser._protocols import protocol as protocol
     from canser._protocols import protocols as protocols
+    from canser.adapters import AdapterConfig as AdapterConfig
     from canser.adapters import AdapterReport as AdapterReport
     from canser.codec.decoder import Decoder as Decoder
     from canser.codec.decoder import Stats as Stats
@@ -71,7 +72,10 @@ _HOMES: Final = {
         "protocol",
         "protocols",
     ),
-    "canser.adapters": ("AdapterReport",),
+    "canser.adapters": (
+        "AdapterConfig",
+        "AdapterReport",
+    ),
     "canser.codec.decoder": (
         "Decoder",
         "Stats",

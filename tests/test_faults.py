@@ -292,8 +292,8 @@ def test_a_packet_does_not_go_on_on_another_line(tmp_path: Path) -> None:
 
 
 def test_a_device_that_comes_back_is_configured_again(tmp_path: Path) -> None:
-    first = canser.adapters.configuration("seeed", bitrate=250_000)
-    second = canser.adapters.configuration("seeed", bitrate=125_000)
+    first = canser.adapters.configuration("seeed", canser.AdapterConfig(bitrate=250_000))
+    second = canser.adapters.configuration("seeed", canser.AdapterConfig(bitrate=125_000))
     with replugged(tmp_path, bitrate=250_000) as (device, port, replug):
         assert device.read(20) == first
         new = replug()

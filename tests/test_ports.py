@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 
 import canser
 from canser._frames import FRAME_DTYPE, FrameArray
+from canser.adapters import AdapterConfig
 from canser.simulation.traffic import line_noise, vehicle
 from device import PATIENCE, Device, descriptors, until
 from reference import Frame
@@ -648,13 +649,29 @@ def test_a_status_that_does_not_come() -> None:
 
 
 def test_an_adapter_is_configured() -> None:
-    expected = canser.adapters.configuration("seeed", bitrate=250_000, mode="silent")
-    with plugged(bitrate=250_000, mode="silent") as (device, port):
-        assert device.read(20) == expected
+    silent = AdapterConfig(bitrate=250_000, mode="silent")
+    once = AdapterConfig(bitrate=500_000, once=True)
+    with plugged(config=silent) as (device, port):
+        assert device.read(20) == canser.adapters.configuration("seeed", silent)
         assert port.bitrate == 250_000
-        port.configure(bitrate=500_000, once=True)
-        assert device.read(20) == canser.adapters.configuration("seeed", once=True)
+        port.configure(once)
+        assert device.read(20) == canser.adapters.configuration("seeed", once)
         assert port.bitrate == 500_000
+        port.configure(bitrate=250_000)
+        plain = AdapterConfig(bitrate=250_000)
+        assert device.read(20) == canser.adapters.configuration("seeed", plain)
+        assert port.bitrate == 250_000
+        with pytest.raises(ValueError, match="bitrate is missing; give bitrate or config"):
+            port.configure()
+        with pytest.raises(ValueError, match="bitrate is 250000, but config has the bitrate 500"):
+            port.configure(once, bitrate=250_000)
+
+
+def test_a_bitrate_configures_an_adapter_as_a_config_of_it() -> None:
+    with plugged(bitrate=250_000) as (device, port):
+        plain = AdapterConfig(bitrate=250_000)
+        assert device.read(20) == canser.adapters.configuration("seeed", plain)
+        assert port.bitrate == 250_000
 
 
 @pytest.mark.parametrize(
@@ -666,7 +683,11 @@ def test_an_adapter_is_configured() -> None:
         ("seeed", {"ping": 1}, "seeed adapters know no ping; leave ping out"),
         ("cantalope", {"ping": 0}, "ping is 0; it must be more than 0 seconds"),
         ("cantalope", {"ping": float("nan")}, "ping is nan"),
-        ("seeed", {"mode": "silent"}, "give its bitrate, too"),
+        (
+            "seeed",
+            {"bitrate": 250_000, "config": AdapterConfig(bitrate=500_000)},
+            "bitrate is 250000, but config has the bitrate 500000; give one of both",
+        ),
         ("seeed", {"bitrate": 1}, "bitrate 1 is none of the adapter's"),
         ("serial", {"bitrate": 500_000}, "serial adapters take no configuration"),
         ("serial", {"ts_unit": "h"}, "unknown ts_unit 'h'"),

@@ -11,6 +11,7 @@ import pytest
 import canser
 
 NAMES = [
+    "AdapterConfig",
     "AdapterReport",
     "Blocks",
     "CanserError",

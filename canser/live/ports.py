@@ -10,7 +10,7 @@ import time
 import warnings
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator
-from typing import Any, Final, NamedTuple, Self, TypeVar
+from typing import Final, NamedTuple, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,9 +22,10 @@ from canser._core.buffers import BytesLike, as_bytes, input_frames, output_frame
 from canser._core.table import find_protocol
 from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_records
 from canser._guards import Uncopied
-from canser.adapters import AdapterReport
+from canser.adapters import AdapterConfig, AdapterReport
 from canser.codec.decoder import Control, Decoder, Stats, decode, encode
 from canser.errors import PortClosedError, PortError, SendError, SendTimeoutError
+from canser.live.config import adapter_config
 from canser.live.line import Line, open_line
 from canser.live.link import NO_MORE, Link
 from canser.live.ring import Gap, Ring
@@ -55,13 +56,9 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
     url: str,
     protocol: str,
     *,
-    baudrate: int | None = None,
     bitrate: int | None = None,
-    mode: str = "normal",
-    frame_type: str = "all",
-    filter_id: int = 0,
-    filter_mask: int = 0,
-    once: bool = False,
+    config: AdapterConfig | None = None,
+    baudrate: int | None = None,
     ts_unit: str = "ms",
     device_time: bool = False,
     ring_size: int = 8 << 20,
@@ -76,8 +73,8 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
     `rfc2217://host:port`, `loop://`. `baudrate`: of the line; by default the protocol's own.
     The line is opened raw and exclusively; bytes that wait there stay, unless `flush`.
 
-    `bitrate`: of the CAN bus in bit/s; the adapter is then configured, with `mode`,
-    `frame_type`, `filter_id`, `filter_mask` and `once` as in `adapters.configuration`.
+    `bitrate`: of the CAN bus in bit/s; the adapter is then configured. `config`: all of its
+    configuration, instead of `bitrate`.
     `ts_unit`: of the device's clock, as for `Decoder`. `device_time`: frames keep the times of
     that clock, unwrapped, and get no host times.
     `ring_size`: bytes that are kept for a slow reader. `reconnect`: wait for a device that is
@@ -91,18 +88,8 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
     """
     text(url, "url", "'/dev/ttyUSB0'")
     row = find_protocol(protocol)
-    settings: dict[str, Any] = {
-        "mode": mode,
-        "frame_type": frame_type,
-        "filter_id": filter_id,
-        "filter_mask": filter_mask,
-        "once": once,
-    }
-    greeting = b""
-    if bitrate is not None:
-        greeting = adapters.configuration(row.name, bitrate=bitrate, **settings)
-    elif settings != _UNSET:
-        raise ValueError("the adapter is configured as a whole: give its bitrate, too")
+    config = adapter_config(bitrate, config)
+    packet = b"" if config is None else adapters.configuration(row.name, config)
     rate = row.baudrate
     if baudrate is not None:
         rate = whole(baudrate, "baudrate", "115200", least=1)
@@ -118,7 +105,7 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
         url,
         Decoder(row.name, ts_unit=ts_unit),
         baudrate=rate,
-        bitrate=bitrate,
+        bitrate=None if config is None else config.bitrate,
         ts_unit=ts_unit,
         device_time=device_time,
         ring_size=whole(ring_size, "ring_size", "8 << 20", least=_RING_LEAST),
@@ -126,17 +113,8 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
         reconnect=flag(reconnect, "reconnect"),
         ping=None if ping is None else float(ping),
         tap=tap,
-        greeting=greeting,
+        greeting=packet,
     )
-
-
-_UNSET: Final = {
-    "mode": "normal",
-    "frame_type": "all",
-    "filter_id": 0,
-    "filter_mask": 0,
-    "once": False,
-}
 
 
 class Port(Uncopied):
@@ -455,31 +433,31 @@ class Port(Uncopied):
 
     # The adapter's own commands
 
-    def configure(
-        self,
-        *,
-        bitrate: int,
-        mode: str = "normal",
-        frame_type: str = "all",
-        filter_id: int = 0,
-        filter_mask: int = 0,
-        once: bool = False,
-    ) -> None:
-        """Configure the adapter, as `open` does; takes a tenth of a second.
+    def configure(self, config: AdapterConfig | None = None, *, bitrate: int | None = None) -> None:
+        """Configure the adapter, as `canser.open` does. Takes 0.1 s.
 
-        ValueError as `adapters.configuration`, SendError if the line does not take it.
+        Parameters
+        ----------
+        config : AdapterConfig, optional
+            How the adapter is to work.
+        bitrate : int, optional
+            Of the CAN bus in bit/s, instead of `config`; all else is as in `AdapterConfig`.
+
+        Raises
+        ------
+        TypeError
+            For an argument of another type.
+        ValueError
+            Without `config` and `bitrate`, with both, or as `adapters.configuration`.
+        SendError
+            If the line does not take the configuration.
         """
-        greeting = adapters.configuration(
-            self.protocol,
-            bitrate=bitrate,
-            mode=mode,
-            frame_type=frame_type,
-            filter_id=filter_id,
-            filter_mask=filter_mask,
-            once=once,
-        )
-        self.send_raw(greeting)
-        self._greeting.data, self.bitrate = greeting, bitrate
+        config = adapter_config(bitrate, config)
+        if config is None:
+            raise ValueError("bitrate is missing; give bitrate or config")
+        packet = adapters.configuration(self.protocol, config)
+        self.send_raw(packet)
+        self._greeting.data, self.bitrate = packet, config.bitrate
         time.sleep(_SETTLE)
 
     def request_status(self, *, timeout: float | None = 1.0) -> AdapterReport:

@@ -5,6 +5,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
 from threading import Lock
 from typing import Any, Final, cast
 
@@ -20,8 +21,10 @@ from canser._core.table import find_protocol
 from canser._frames import NO_TIME, FrameArray, copy_records, flaw
 from canser._guards import Uncopied
 from canser._protocols import protocols, tick_ns
+from canser.adapters import AdapterConfig
 from canser.errors import PortError, SendTimeoutError
 from canser.live import ports
+from canser.live.config import flat_config
 from canser.python_can._messages import Row, frames_of, rows
 
 __all__ = ["CanserBus"]
@@ -45,6 +48,12 @@ _TICKS: Final = 1 << 32
 
 # A filter's id and mask, and the kind of frame that it wants, None for any.
 _Rule = tuple[np.int64, np.int64, bool | None]
+
+
+def _take_fields(kind: type[AdapterConfig], options: dict[str, Any]) -> dict[str, Any]:
+    """Take the options out that are fields of a value object, and return them."""
+    names = {field.name for field in fields(kind)} & options.keys()
+    return {name: options.pop(name) for name in names}
 
 
 class _Descriptor(int):
@@ -87,17 +96,11 @@ class CanserBus(Uncopied, can.BusABC):
         *,
         protocol: str | None = None,
         baudrate: int | None = None,
-        bitrate: int | None = None,
-        mode: str = "normal",
-        frame_type: str = "all",
-        filter_id: int = 0,
-        filter_mask: int = 0,
-        once: bool = False,
         ts_unit: str = "ms",
         device_time: bool | None = None,
         reconnect: bool = False,
         ping: float | None = None,
-        **kwargs: Any,
+        **options: Any,
     ) -> None:
         """Open a port as a bus.
 
@@ -116,30 +119,24 @@ class CanserBus(Uncopied, can.BusABC):
             raise ValueError("channel is empty; it must be the URL of a port, such as /dev/ttyUSB0")
         if protocol is None:
             raise ValueError(f"protocol is missing; give one of {', '.join(protocols())}")
-        if kwargs.get("fd"):
+        if options.get("fd"):
             raise ValueError("fd is True, but serial adapters know classic CAN only; leave it out")
-        for name in kwargs.keys() - _MEANINGLESS:
+        given = _take_fields(AdapterConfig, options)
+        for name in options.keys() - _MEANINGLESS:
             _LOG.warning("%s means nothing to the interface canser and is left alone", name)
         row = find_protocol(protocol)
         self._clocked, self._unit, self._tick_ns = row.has_clock, ts_unit, tick_ns(ts_unit)
-        self._settings: dict[str, Any] = {
-            "mode": mode,
-            "frame_type": frame_type,
-            "filter_id": filter_id,
-            "filter_mask": filter_mask,
-            "once": once,
-        }
+        self._config = flat_config(given)
         try:
             self.port = ports.open(
                 channel,
                 protocol,
                 baudrate=baudrate,
-                bitrate=bitrate,
+                config=self._config,
                 ts_unit=ts_unit,
                 device_time=row.has_clock if device_time is None else device_time,
                 reconnect=reconnect,
                 ping=ping,
-                **self._settings,
             )
         except PortError as error:
             raise can.CanInitializationError(str(error)) from error
@@ -334,24 +331,25 @@ class CanserBus(Uncopied, can.BusABC):
         It can be set where the adapter is configured, that is opened with a bitrate: else
         NotImplementedError.
         """
-        silent = "silent" in self._settings["mode"]
+        silent = self._config is not None and "silent" in self._config.mode
         return can.BusState.PASSIVE if silent else can.BusState.ACTIVE
 
     @state.setter
     def state(self, new_state: can.BusState) -> None:
         if new_state is self.state:
             return
-        if self.port.bitrate is None or new_state is can.BusState.ERROR:
+        if self._config is None or new_state is can.BusState.ERROR:
             raise NotImplementedError(
                 f"this bus cannot be made {new_state}; open it with a bitrate to configure "
                 "its adapter"
             )
         mode = "silent" if new_state is can.BusState.PASSIVE else "normal"
+        config = replace(self._config, mode=mode)
         try:
-            self.port.configure(bitrate=self.port.bitrate, **{**self._settings, "mode": mode})
+            self.port.configure(config)
         except PortError as error:
             raise can.CanOperationError(str(error)) from error
-        self._settings["mode"] = mode
+        self._config = config
 
     def _send_periodic_internal(
         self,
