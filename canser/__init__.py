@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from canser.files.captures import read as read
     from canser.files.fits import Fit as Fit
     from canser.files.fits import identify as identify
+    from canser.live.config import LineConfig as LineConfig
     from canser.live.ports import Port as Port
     from canser.live.ports import PortInfo as PortInfo
     from canser.live.ports import list_ports as list_ports
@@ -111,6 +112,7 @@ _HOMES: Final = {
         "Fit",
         "identify",
     ),
+    "canser.live.config": ("LineConfig",),
     "canser.live.ports": (
         "Port",
         "PortInfo",

@@ -16,6 +16,7 @@ import canser
 from canser import adapters
 from canser._checks import flag, real, timeout, whole
 from canser.adapters import AdapterConfig
+from canser.live.config import LineConfig
 from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import vehicle
 
@@ -109,11 +110,12 @@ OPEN = SETTINGS | {
     "url": [5, None, b"/dev/x", Path("/dev/x")],
     "protocol": [5, None, "foo"],
     "config": [5, 500_000, "silent", {}],
+    "line": [5, 115_200, "off", {}],
 }
 
 
 # The value objects of `open`, by the argument that takes one.
-OBJECTS: dict[str, type[Any]] = {"config": AdapterConfig}
+OBJECTS: dict[str, type[Any]] = {"config": AdapterConfig, "line": LineConfig}
 
 
 def opened(**options: Any) -> canser.Port:
@@ -143,7 +145,7 @@ def test_open(name: str, value: object) -> None:
 BUS = [
     (name, value)
     for name, value in table(OPEN)
-    if name not in ("ring_size", "flush", "tap", "config")
+    if name not in ("tap", "config", "line")
     and not (value is None and name in ("device_time", "protocol"))
 ]
 

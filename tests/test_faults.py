@@ -393,7 +393,7 @@ def test_a_busy_port() -> None:
         inside = descriptors()
         for flush in (False, True):
             with pytest.raises(canser.PortBusyError, match="is open in another program"):
-                canser.open(device.url, "seeed", flush=flush)
+                canser.open(device.url, "seeed", line=canser.LineConfig(flush=flush))
         assert descriptors() == inside
         assert content(collect(port, len(frames))) == content(frames)
     assert descriptors() == before
@@ -496,7 +496,9 @@ def test_a_longer_stall_is_counted_to_the_byte() -> None:
     raw = canser.encode(frames, "seeed")
     size = 1 << 16
     kept = bytearray()
-    with plugged(ring_size=size, tap=lambda data, *_: kept.extend(data)) as (device, port):
+    with plugged(
+        line=canser.LineConfig(ring_size=size), tap=lambda data, *_: kept.extend(data)
+    ) as (device, port):
         device.feed(raw)
         device.fed()
         until(lambda: waiting(port) + port.bytes_lost == len(raw))
@@ -520,7 +522,7 @@ def test_a_ring_that_was_just_full_and_is_read_loses_nothing() -> None:
     size = 1 << 16
     frames = traffic(60)
     raw = canser.encode(frames, "seeed")
-    with plugged(ring_size=size) as (device, port):
+    with plugged(line=canser.LineConfig(ring_size=size)) as (device, port):
         device.feed(raw[:size])
         until(lambda: waiting(port) == size)
         until(lambda: port._ring.room() is None)
@@ -675,7 +677,10 @@ class Answering:
 def test_a_ping_that_comes_back() -> None:
     frames = traffic(1, "cantalope")
     # So seldom that no machine is too busy to answer in time.
-    with plugged("cantalope", ping=1) as (device, port), Answering(device) as far:
+    with (
+        plugged("cantalope", line=canser.LineConfig(ping=1)) as (device, port),
+        Answering(device) as far,
+    ):
         device.feed(canser.encode(frames, "cantalope"))
         assert content(collect(port, len(frames))) == content(frames)
         until(lambda: len(port.read_batch(timeout=0.001)) or port.stats.controls == 2)
@@ -687,7 +692,7 @@ def test_a_ping_that_comes_back() -> None:
 def test_pings_go_out_between_frames_and_never_within() -> None:
     frames = np.tile(traffic(1, "cantalope"), 5)
     raw = canser.encode(frames, "cantalope")
-    with plugged("cantalope", ping=0.001) as (device, port):
+    with plugged("cantalope", line=canser.LineConfig(ping=0.001)) as (device, port):
 
         def send() -> None:
             for start in range(0, len(frames), 100):
@@ -707,7 +712,7 @@ def test_pings_go_out_between_frames_and_never_within() -> None:
 def test_a_ping_that_does_not_come_back() -> None:
     with (
         warnings.catch_warnings(record=True) as caught,
-        plugged("cantalope", ping=0.01) as (device, port),
+        plugged("cantalope", line=canser.LineConfig(ping=0.01)) as (device, port),
         Answering(device, answering=False) as far,
     ):
         warnings.simplefilter("always")
@@ -733,7 +738,7 @@ def test_a_ping_that_does_not_come_back() -> None:
 @pytest.mark.filterwarnings("ignore::canser.CanserWarning")
 def test_a_stream_out_of_step_finds_the_place_at_the_ping() -> None:
     """The rest of a frame is lost, and so it would eat what follows."""
-    with plugged("cantalope", ping=0.01) as (device, port):
+    with plugged("cantalope", line=canser.LineConfig(ping=0.01)) as (device, port):
         # Eight bytes are said to follow, and two do.
         device.feed(b"\x00\x28" + b"\x11\x22")
         until(lambda: len(port.read_batch(timeout=0.01)) or port.take_gaps())
@@ -744,7 +749,7 @@ def test_a_stream_out_of_step_finds_the_place_at_the_ping() -> None:
 
 
 def test_a_device_that_is_away_has_no_lost_ping(tmp_path: Path) -> None:
-    with replugged(tmp_path, "cantalope", ping=1) as (device, port, replug):
+    with replugged(tmp_path, "cantalope", line=canser.LineConfig(ping=1)) as (device, port, replug):
         with Answering(device) as far:
             until(lambda: len(port.read_batch(timeout=0.001)) or port.stats.controls)
             assert far.pings
@@ -769,7 +774,7 @@ def test_a_reader_that_is_never_idle_sees_a_lost_ping() -> None:
     """Frames come all the time, and so nobody ever waits."""
     frames = traffic(1, "cantalope")
     raw = canser.encode(frames, "cantalope")
-    with plugged("cantalope", ping=0.01) as (device, port):
+    with plugged("cantalope", line=canser.LineConfig(ping=0.01)) as (device, port):
         out = np.empty(50, FRAME_DTYPE)
         device.feed(raw)
 

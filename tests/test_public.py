@@ -26,6 +26,7 @@ NAMES = [
     "FormatError",
     "FrameArray",
     "Gap",
+    "LineConfig",
     "NO_TIME",
     "NoProtocolError",
     "OutputExistsError",

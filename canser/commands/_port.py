@@ -11,7 +11,7 @@ from canser.commands._numbers import duration, whole
 from canser.commands._parser import CallError, Parser, protocol_name
 from canser.errors import PortBusyError, PortDeniedError, PortNotFoundError
 from canser.live import ports
-from canser.live.config import flat_config
+from canser.live.config import LineConfig, flat_config
 from canser.live.ports import Port
 from canser.live.stream import Tap
 
@@ -112,11 +112,10 @@ def open_port(args: argparse.Namespace, *, tap: Tap | None = None) -> Port:
         return ports.open(
             args.channel,
             args.protocol,
-            baudrate=args.baudrate,
             config=_adapter_config(args),
+            line=LineConfig(baudrate=args.baudrate, ping=getattr(args, "ping", None)),
             ts_unit=args.ts_unit,
             reconnect=getattr(args, "reconnect", False),
-            ping=getattr(args, "ping", None),
             tap=tap,
         )
     except (ValueError, PortNotFoundError, PortDeniedError, PortBusyError) as error:

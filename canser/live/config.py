@@ -1,12 +1,68 @@
 """What is asked of a port, as value objects."""
 
+import math
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
 
-from canser._checks import instance
+from canser._checks import flag, instance, real, whole
 from canser.adapters import AdapterConfig
 
-__all__ = ["adapter_config", "flat_config"]
+__all__ = ["LineConfig", "adapter_config", "flat_config"]
+
+# A terminal gives up to 4 KiB a read, and the reader of the line asks for 64 KiB at once. A
+# smaller ring would lose bytes of any reader.
+_RING_SIZE_LEAST: Final = 1 << 16
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LineConfig:
+    """How the serial line between host and adapter is opened and kept.
+
+    Attributes
+    ----------
+    baudrate : int, optional
+        Of the line, in bit/s; None: the rate that adapters of the protocol come with.
+    flush : bool, default False
+        Whether bytes that wait in the system at opening are thrown away.
+    ring_size : int, default 8388608
+        Bytes that are kept for a slow reader, 65536 or more. At 2 Mbaud the default lasts 40 s.
+    ping : float, optional
+        Seconds between the pings of the watchdog, for protocols that know a ping; None: no
+        watchdog.
+
+    Raises
+    ------
+    TypeError
+        For a value of another type.
+    ValueError
+        For a number out of range.
+
+    Examples
+    --------
+    >>> canser.LineConfig(baudrate=115_200).baudrate
+    115200
+    """
+
+    baudrate: int | None = None
+    flush: bool = False
+    ring_size: int = 8 << 20
+    ping: float | None = None
+
+    def __post_init__(self) -> None:
+        # Plain numbers and bools, whatever kind was given.
+        put = partial(object.__setattr__, self)
+        if self.baudrate is not None:
+            put("baudrate", whole(self.baudrate, "baudrate", "115200", least=1))
+        put("flush", flag(self.flush, "flush"))
+        put("ring_size", whole(self.ring_size, "ring_size", "8 << 20", least=_RING_SIZE_LEAST))
+        if self.ping is not None:
+            put("ping", real(self.ping, "ping", "1.0"))
+            if not 0 < self.ping < math.inf:
+                raise ValueError(
+                    f"ping is {self.ping:g}; it must be more than 0 seconds, and not infinite"
+                )
 
 
 def adapter_config(bitrate: int | None, config: AdapterConfig | None) -> AdapterConfig | None:

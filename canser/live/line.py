@@ -23,6 +23,7 @@ from canser.errors import (
     PortGoneError,
     PortNotFoundError,
 )
+from canser.live.config import LineConfig
 
 if sys.platform != "win32":
     import fcntl
@@ -61,12 +62,12 @@ class Line(Protocol):
         """Close the line; nobody may be in `read_into`."""
 
 
-def open_line(url: str, baudrate: int, *, flush: bool = False) -> Line:
+def open_line(url: str, config: LineConfig) -> Line:
     """Open a line by a URL of pyserial's, 8N1, raw, exclusive.
 
-    Bytes that wait there already stay, unless `flush`. PortNotFoundError,
-    PortDeniedError, PortBusyError, PortError; ValueError for a URL or a baud rate that
-    makes no sense.
+    `config`: with a baud rate. Its `ring_size` and `ping` do not matter here.
+    PortNotFoundError, PortDeniedError, PortBusyError, PortError; ValueError for a URL or a
+    baud rate that makes no sense.
     """
     if not url:
         raise PortNotFoundError("url is empty: no port has that name; 'canser ports' lists some")
@@ -76,7 +77,7 @@ def open_line(url: str, baudrate: int, *, flush: bool = False) -> Line:
         assert server is not None
         source: Any = _connect(url, *server)
     else:
-        source = _open_serial(url, baudrate, flush=flush)
+        source = _open_serial(url, config)
         if not _has_descriptor(source):
             return _Serial(source, url)
     try:
@@ -89,7 +90,7 @@ def open_line(url: str, baudrate: int, *, flush: bool = False) -> Line:
         return _Descriptor(source, url)
     except (OSError, termios_error) as error:  # it may vanish at any time
         source.close()
-        raise _open_error(url, baudrate, error) from None
+        raise _open_error(url, config.baudrate, error) from None
     except BaseException:
         source.close()
         raise
@@ -122,12 +123,13 @@ def _connect(url: str, host: str, number: int) -> socket.socket:
         ) from None
 
 
-def _open_serial(url: str, baudrate: int, *, flush: bool) -> Any:
+def _open_serial(url: str, config: LineConfig) -> Any:
     import serial  # noqa: PLC0415 - imported where it is used
 
+    assert config.baudrate is not None  # `canser.open` has set it
     try:
         port: Any = serial.serial_for_url(
-            url, do_not_open=True, baudrate=baudrate, timeout=_LOOK_EVERY, exclusive=True
+            url, do_not_open=True, baudrate=config.baudrate, timeout=_LOOK_EVERY, exclusive=True
         )
     except serial.SerialException as error:  # hwgrep:// has looked for the port already
         raise PortNotFoundError(
@@ -135,14 +137,14 @@ def _open_serial(url: str, baudrate: int, *, flush: bool) -> Any:
         ) from None
     # Each kind of URL reads its options in a way of its own, and raises what comes of that.
     except Exception as error:  # noqa: BLE001
-        raise ValueError(f"cannot open {url!r} at {baudrate} baud: {_text(error)}") from None
-    if not flush:
+        raise ValueError(f"cannot open {url!r} at {config.baudrate} baud: {_text(error)}") from None
+    if not config.flush:
         # Opening throws away what waits there; these are what it calls for that.
         port.reset_input_buffer = port._reset_input_buffer = _nothing
     try:
         port.open()
     except Exception as error:  # noqa: BLE001 - as above
-        raise _open_error(url, baudrate, error) from None
+        raise _open_error(url, config.baudrate, error) from None
     return port
 
 
@@ -153,7 +155,7 @@ def _nothing() -> None:
 termios_error: Final[type[Exception]] = termios.error if sys.platform != "win32" else OSError
 
 
-def _open_error(url: str, baudrate: int, error: Exception) -> Exception:
+def _open_error(url: str, baudrate: int | None, error: Exception) -> Exception:
     """Return the error of this package for one of the system or pyserial."""
     number = _number(error)
     kind: type[Exception] = PortError

@@ -2,7 +2,6 @@
 
 import contextlib
 import functools
-import math
 import os
 import sys
 import threading
@@ -10,13 +9,14 @@ import time
 import warnings
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import replace
 from typing import Final, NamedTuple, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from canser import adapters
-from canser._checks import flag, real, text, whole
+from canser._checks import flag, instance, text, whole
 from canser._checks import timeout as check_timeout
 from canser._core.buffers import BytesLike, as_bytes, input_frames, output_frames
 from canser._core.table import find_protocol
@@ -25,7 +25,7 @@ from canser._guards import Uncopied
 from canser.adapters import AdapterConfig, AdapterReport
 from canser.codec.decoder import Control, Decoder, Stats, decode, encode
 from canser.errors import PortClosedError, PortError, SendError, SendTimeoutError
-from canser.live.config import adapter_config
+from canser.live.config import LineConfig, adapter_config
 from canser.live.line import Line, open_line
 from canser.live.link import NO_MORE, Link
 from canser.live.ring import Gap, Ring
@@ -48,9 +48,6 @@ _SOON: Final = 0.02
 # Who waits for a status lets others read after so many seconds.
 _TURN: Final = 0.02
 
-# A ring smaller than what a terminal gives at once would lose bytes of any reader.
-_RING_LEAST: Final = 1 << 16
-
 
 def open(  # noqa: A001 - the name that the interface has, used as canser.open
     url: str,
@@ -58,62 +55,82 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
     *,
     bitrate: int | None = None,
     config: AdapterConfig | None = None,
-    baudrate: int | None = None,
+    line: LineConfig | None = None,
     ts_unit: str = "ms",
     device_time: bool = False,
-    ring_size: int = 8 << 20,
-    flush: bool = False,
     reconnect: bool = False,
-    ping: float | None = None,
     tap: Tap | None = None,
 ) -> "Port":
-    """Open a live port.
+    """Open a live port: raw, exclusively, and with a thread that reads it.
 
-    `url`: whatever pyserial opens: a device, a pseudo terminal, `socket://host:port`,
-    `rfc2217://host:port`, `loop://`. `baudrate`: of the line; by default the protocol's own.
-    The line is opened raw and exclusively; bytes that wait there stay, unless `flush`.
+    Parameters
+    ----------
+    url : str
+        Whatever pyserial opens: a device, a pseudo terminal, `socket://host:port`,
+        `rfc2217://host:port`, `loop://`.
+    protocol : str
+        What the adapter speaks: a name of `canser.protocols()` or an accepted spelling.
+    bitrate : int, optional
+        Of the CAN bus in bit/s. The adapter is configured to it when it is opened.
+    config : AdapterConfig, optional
+        The whole configuration of the adapter, instead of `bitrate`. Without both of them the
+        adapter is left as it is.
+    line : LineConfig, optional
+        The serial line; by default `LineConfig()`.
+    ts_unit : {"ms", "us", "ns", "s"}, default "ms"
+        Unit of the device's clock, as for `Decoder`.
+    device_time : bool, default False
+        Whether frames keep the times of the device's clock, unwrapped, in nanoseconds, and get
+        no host times.
+    reconnect : bool, default False
+        Whether to wait for a device that is gone, and to go on. The gap is reported.
+    tap : callable, optional
+        Is given all bytes as they came, before their frames are returned:
+        `tap(data, arrival_ns, lost)`. `data` is a memoryview, good until the call returns;
+        `arrival_ns` is in epoch nanoseconds; `lost` bytes are missing before it, -1 if their
+        number is unknown.
 
-    `bitrate`: of the CAN bus in bit/s; the adapter is then configured. `config`: all of its
-    configuration, instead of `bitrate`.
-    `ts_unit`: of the device's clock, as for `Decoder`. `device_time`: frames keep the times of
-    that clock, unwrapped, and get no host times.
-    `ring_size`: bytes that are kept for a slow reader. `reconnect`: wait for a device that is
-    gone, and go on. `ping`: seconds between pings of the watchdog, where the protocol has it.
-    `tap`: is given all bytes as they came, `tap(data, arrival_ns, lost)`, before their frames
-    are returned; `data` is good until it returns; `lost` bytes are missing before it (-1: not
-    known how many).
+    Returns
+    -------
+    Port
+        The open port, a context manager.
 
-    ValueError and TypeError for the caller's mistakes; PortNotFoundError,
-    PortDeniedError, PortBusyError, PortError for a port that cannot be opened.
+    Raises
+    ------
+    TypeError, ValueError
+        For an argument that is wrong.
+    PortNotFoundError, PortDeniedError, PortBusyError, PortError
+        For a port that cannot be opened.
+
+    Examples
+    --------
+    >>> with canser.open("loop://", "seeed") as port:
+    ...     port.send(canser.decode(bytes.fromhex("aac12301ff55"), "seeed"))
+    ...     port.read_batch()["id"]
+    1
+    array([291], dtype=uint32)
     """
     text(url, "url", "'/dev/ttyUSB0'")
     row = find_protocol(protocol)
-    config = adapter_config(bitrate, config)
-    packet = b"" if config is None else adapters.configuration(row.name, config)
-    rate = row.baudrate
-    if baudrate is not None:
-        rate = whole(baudrate, "baudrate", "115200", least=1)
-    if flag(device_time, "device_time") and not row.has_clock:
-        raise ValueError(f"{row.name} frames carry no device time; leave device_time out")
-    if ping is not None and not row.ping:
+    line = LineConfig() if line is None else instance(line, "line", LineConfig)
+    if line.baudrate is None:
+        line = replace(line, baudrate=row.baudrate)
+    if line.ping is not None and not row.ping:
         raise ValueError(f"{row.name} adapters know no ping; leave ping out")
-    if ping is not None and not 0 < real(ping, "ping", "1.0") < math.inf:
-        raise ValueError(f"ping is {ping}; it must be more than 0 seconds, and not infinite")
+    device_time = flag(device_time, "device_time")
+    if device_time and not row.has_clock:
+        raise ValueError(f"{row.name} frames carry no device time; leave device_time out")
     if tap is not None and not callable(tap):
         raise TypeError(f"tap is {tap!r}; it must be a function of data, arrival_ns and lost")
     return Port(
         url,
         Decoder(row.name, ts_unit=ts_unit),
-        baudrate=rate,
-        bitrate=None if config is None else config.bitrate,
+        line,
+        adapter_config(bitrate, config),
         ts_unit=ts_unit,
         device_time=device_time,
-        ring_size=whole(ring_size, "ring_size", "8 << 20", least=_RING_LEAST),
-        flush=flag(flush, "flush"),
         reconnect=flag(reconnect, "reconnect"),
-        ping=None if ping is None else float(ping),
         tap=tap,
-        greeting=packet,
     )
 
 
@@ -131,33 +148,32 @@ class Port(Uncopied):
         self,
         url: str,
         decoder: Decoder,
+        line: LineConfig,
+        config: AdapterConfig | None,
         *,
-        baudrate: int,
-        bitrate: int | None,
         ts_unit: str,
         device_time: bool,
-        ring_size: int,
-        flush: bool,
         reconnect: bool,
-        ping: float | None,
         tap: Tap | None,
-        greeting: bytes,
     ) -> None:
         self._closed, self._pid = True, os.getpid()  # until it is open
-        self.url, self.decoder = url, decoder
-        self.protocol, self.baudrate, self.bitrate = decoder.protocol, baudrate, bitrate
-        row = find_protocol(decoder.protocol)
+        self.url, self.decoder, self.protocol = url, decoder, decoder.protocol
+        packet = b"" if config is None else adapters.configuration(self.protocol, config)
+        self.bitrate = None if config is None else config.bitrate
+        assert line.baudrate is not None  # `open` has set it
+        self.baudrate = line.baudrate
+        row = find_protocol(self.protocol)
         self._ts_unit, self._clocked, self._frame_min = ts_unit, row.has_clock, row.frame_min
         self._clock = host_clock()
         self._opened_ns = self._clock()
         try:
-            self._ring = Ring(ring_size)
+            self._ring = Ring(line.ring_size)
         except (MemoryError, OverflowError):
             raise ValueError(
-                f"ring_size is {ring_size}; it must be bytes that the system has memory for"
+                f"ring_size is {line.ring_size}; it must be bytes that the system has memory for"
             ) from None
-        stamper = Stamper(row.has_clock, _BITS * 1e9 / baudrate, row.frame_max)
-        self._ping_s = ping or 0.0
+        stamper = Stamper(row.has_clock, _BITS * 1e9 / self.baudrate, row.frame_max)
+        self._ping_s = line.ping or 0.0
         self._stream = LiveStream(
             url,
             self._ring,
@@ -172,15 +188,15 @@ class Port(Uncopied):
         self._stash: deque[FrameArray] = deque()
         self._held = False  # what `hold_ready` was told
         # Nothing in the thread may hold the port: it would never be collected.
-        self._greeting = _Greeting(greeting)
+        self._greeting = _Greeting(packet)
         self._link = Link(
             url,
-            _Connect(url, baudrate, self._greeting, flush=flush),
+            _Connect(url, line, self._greeting),
             self._ring,
             self._clock,
-            byte_s=_BITS / baudrate,
+            byte_s=_BITS / self.baudrate,
             reconnect=reconnect,
-            beat=row.ping if ping is not None else b"",
+            beat=row.ping if line.ping is not None else b"",
             beat_s=self._ping_s,
         )
         self._closed = False
@@ -645,11 +661,11 @@ class _Greeting:
 class _Connect:
     """Open the line, and make the adapter ready."""
 
-    def __init__(self, url: str, baudrate: int, greeting: _Greeting, *, flush: bool) -> None:
-        self._url, self._baudrate, self._greeting, self._flush = url, baudrate, greeting, flush
+    def __init__(self, url: str, config: LineConfig, greeting: _Greeting) -> None:
+        self._url, self._config, self._greeting = url, config, greeting
 
     def __call__(self) -> Line:
-        line = open_line(self._url, self._baudrate, flush=self._flush)
+        line = open_line(self._url, self._config)
         greeting = memoryview(self._greeting.data)
         try:
             while greeting:

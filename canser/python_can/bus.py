@@ -24,7 +24,7 @@ from canser._protocols import protocols, tick_ns
 from canser.adapters import AdapterConfig
 from canser.errors import PortError, SendTimeoutError
 from canser.live import ports
-from canser.live.config import flat_config
+from canser.live.config import LineConfig, flat_config
 from canser.python_can._messages import Row, frames_of, rows
 
 __all__ = ["CanserBus"]
@@ -50,7 +50,7 @@ _TICKS: Final = 1 << 32
 _Rule = tuple[np.int64, np.int64, bool | None]
 
 
-def _take_fields(kind: type[AdapterConfig], options: dict[str, Any]) -> dict[str, Any]:
+def _take_fields(kind: type[AdapterConfig | LineConfig], options: dict[str, Any]) -> dict[str, Any]:
     """Take the options out that are fields of a value object, and return them."""
     names = {field.name for field in fields(kind)} & options.keys()
     return {name: options.pop(name) for name in names}
@@ -95,23 +95,39 @@ class CanserBus(Uncopied, can.BusABC):
         can_filters: CanFilters | None = None,
         *,
         protocol: str | None = None,
-        baudrate: int | None = None,
         ts_unit: str = "ms",
         device_time: bool | None = None,
         reconnect: bool = False,
-        ping: float | None = None,
         **options: Any,
     ) -> None:
         """Open a port as a bus.
 
-        `channel`: the port's URL. `protocol`: what the adapter speaks, a name of
-        `canser.protocols()`. `device_time`: whether messages have times of the device's
-        clock (the default where the format has one), or all of the host's. The others as for
-        `canser.open`. What else is given is left alone, as python-can's buses do, and told
-        in the log.
+        Parameters
+        ----------
+        channel : str
+            The URL of the port, as for `canser.open`.
+        can_filters : list of dict, optional
+            As for any bus of python-can.
+        protocol : str
+            What the adapter speaks: a name of `canser.protocols()` or an accepted spelling.
+        ts_unit, reconnect
+            As for `canser.open`.
+        device_time : bool, optional
+            Whether messages have times of the device's clock, or all of the host's; by default
+            of the device's where the format has one.
+        **options
+            The fields of `canser.AdapterConfig`, of which `bitrate` is needed to configure the
+            adapter, and of `canser.LineConfig`. Any other option is left alone, as python-can's
+            buses do, and the log names it.
 
-        ValueError and TypeError for a value that is not possible, CanInitializationError
-        for a port that cannot be opened, CanInterfaceNotImplementedError without pyserial.
+        Raises
+        ------
+        TypeError, ValueError
+            For a value that is not possible.
+        can.CanInitializationError
+            For a port that cannot be opened.
+        can.CanInterfaceNotImplementedError
+            Without pyserial.
         """
         if not isinstance(channel, str):
             raise TypeError(f"channel is {channel!r}; it must be the URL of a port, such as COM3")
@@ -121,22 +137,21 @@ class CanserBus(Uncopied, can.BusABC):
             raise ValueError(f"protocol is missing; give one of {', '.join(protocols())}")
         if options.get("fd"):
             raise ValueError("fd is True, but serial adapters know classic CAN only; leave it out")
-        given = _take_fields(AdapterConfig, options)
+        self._config = flat_config(_take_fields(AdapterConfig, options))
+        line = LineConfig(**_take_fields(LineConfig, options))
         for name in options.keys() - _MEANINGLESS:
             _LOG.warning("%s means nothing to the interface canser and is left alone", name)
         row = find_protocol(protocol)
         self._clocked, self._unit, self._tick_ns = row.has_clock, ts_unit, tick_ns(ts_unit)
-        self._config = flat_config(given)
         try:
             self.port = ports.open(
                 channel,
                 protocol,
-                baudrate=baudrate,
                 config=self._config,
+                line=line,
                 ts_unit=ts_unit,
                 device_time=row.has_clock if device_time is None else device_time,
                 reconnect=reconnect,
-                ping=ping,
             )
         except PortError as error:
             raise can.CanInitializationError(str(error)) from error
