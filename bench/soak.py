@@ -99,7 +99,7 @@ def soak(protocol: str, hours: float, times: int, folder: Path) -> list[str]:
         adapter(protocol, traffic, 2_000_000 * times) as url,
         closing(Recorder(str(folder / "run.pcapng"), info, size=FILE_SIZE, keep=KEEP)) as recorder,
         canser.open(
-            url, protocol, line=canser.LineConfig(baudrate=2_000_000), tap=recorder.write
+            url, protocol, line=canser.LineConfig(baudrate=2_000_000), on_bytes=recorder.write
         ) as port,
     ):
         recorder.start(time.time_ns())

@@ -106,7 +106,7 @@ OPEN = SETTINGS | {
     "device_time": NOT_FLAGS,
     "flush": NOT_FLAGS,
     "reconnect": NOT_FLAGS,
-    "tap": [5, "x"],
+    "on_bytes": [5, "x"],
     "url": [5, None, b"/dev/x", Path("/dev/x")],
     "protocol": [5, None, "foo"],
     "config": [5, 500_000, "silent", {}],
@@ -145,7 +145,7 @@ def test_open(name: str, value: object) -> None:
 BUS = [
     (name, value)
     for name, value in table(OPEN)
-    if name not in ("tap", "config", "line")
+    if name not in ("on_bytes", "config", "line")
     and not (value is None and name in ("device_time", "protocol"))
 ]
 

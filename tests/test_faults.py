@@ -248,11 +248,11 @@ def test_a_device_that_comes_back_goes_on_behind_a_marked_gap(tmp_path: Path) ->
     raw = canser.encode(frames, "seeed")
     seen: list[tuple[bytes, int]] = []
 
-    def tap(data: memoryview, _: int, lost: int) -> None:
+    def on_bytes(data: memoryview, _: int, lost: int) -> None:
         seen.append((bytes(data), lost))
 
     before = time.time_ns()
-    with replugged(tmp_path, tap=tap) as (device, port, replug):
+    with replugged(tmp_path, on_bytes=on_bytes) as (device, port, replug):
         device.feed(raw + raw[:5])  # the first half of a frame, of which the rest is lost
         until(lambda: waiting(port) == len(raw) + 5)
         new = replug()
@@ -497,7 +497,7 @@ def test_a_longer_stall_is_counted_to_the_byte() -> None:
     size = 1 << 16
     kept = bytearray()
     with plugged(
-        line=canser.LineConfig(ring_size=size), tap=lambda data, *_: kept.extend(data)
+        line=canser.LineConfig(ring_size=size), on_bytes=lambda data, *_: kept.extend(data)
     ) as (device, port):
         device.feed(raw)
         device.fed()

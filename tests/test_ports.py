@@ -361,10 +361,10 @@ def test_an_interrupt_right_behind_the_decoder_loses_no_frame(
     frames = traffic(1)
     pieces: list[bytes] = []
 
-    def tap(data: memoryview, *_: object) -> None:
+    def on_bytes(data: memoryview, *_: object) -> None:
         pieces.append(bytes(data))
 
-    with plugged(tap=tap) as (device, port):
+    with plugged(on_bytes=on_bytes) as (device, port):
         raw = canser.encode(frames, "seeed")
         device.feed(raw)
         until(lambda: waiting(port) == len(raw))
@@ -391,18 +391,18 @@ def select_readable(port: canser.Port) -> bool:
     return bool(poll.poll(0))
 
 
-def test_an_exception_in_the_tap_loses_no_frame_and_no_byte() -> None:
+def test_an_exception_in_on_bytes_loses_no_frame_and_no_byte() -> None:
     frames = traffic(1)
     pieces: list[bytes] = []
 
-    def tap(data: memoryview, *_: object) -> None:
+    def on_bytes(data: memoryview, *_: object) -> None:
         pieces.append(bytes(data))
         if len(pieces) % 2:
             raise OSError("the disk is full")
 
     errors = 0
     got: list[FrameArray] = []
-    with plugged(tap=tap) as (device, port):
+    with plugged(on_bytes=on_bytes) as (device, port):
         device.feed(canser.encode(frames, "seeed"))
         while sum(map(len, got)) < len(frames):
             try:
@@ -414,9 +414,9 @@ def test_an_exception_in_the_tap_loses_no_frame_and_no_byte() -> None:
     assert b"".join(pieces) == canser.encode(frames, "seeed")
 
 
-def test_the_tap_may_close_the_port() -> None:
+def test_on_bytes_may_close_the_port() -> None:
     ports: list[canser.Port] = []
-    with plugged(tap=lambda *_: ports[0].close()) as (device, port):
+    with plugged(on_bytes=lambda *_: ports[0].close()) as (device, port):
         ports.append(port)
         device.feed(canser.encode(traffic(1)[:3], "seeed"))
         with contextlib.suppress(canser.PortClosedError):
@@ -435,19 +435,19 @@ def test_a_read_that_waits_returns_what_has_come_when_the_port_is_closed() -> No
         assert content(frames_of(reader)) == content(frames)
 
 
-# The tap
+# The bytes as they came
 
 
-def test_the_tap_sees_every_byte_and_what_is_lost_before_it() -> None:
+def test_on_bytes_sees_every_byte_and_what_is_lost_before_it() -> None:
     seen: list[tuple[bytes, int, int]] = []
 
-    def tap(data: memoryview, ns: int, lost: int) -> None:
+    def on_bytes(data: memoryview, ns: int, lost: int) -> None:
         seen.append((bytes(data), ns, lost))
 
     raw = line_noise(canser.encode(traffic(20), "seeed"))
     with (
         warnings.catch_warnings(),
-        plugged(tap=tap, line=LineConfig(ring_size=1 << 16)) as (device, port),
+        plugged(on_bytes=on_bytes, line=LineConfig(ring_size=1 << 16)) as (device, port),
     ):
         warnings.simplefilter("ignore", canser.CanserWarning)
         device.feed(raw)

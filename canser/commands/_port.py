@@ -13,7 +13,7 @@ from canser.errors import PortBusyError, PortDeniedError, PortNotFoundError
 from canser.live import ports
 from canser.live.config import LineConfig, flat_config
 from canser.live.ports import Port
-from canser.live.stream import Tap
+from canser.live.stream import OnBytes
 
 __all__ = ["open_port", "port_arguments", "staying_arguments"]
 
@@ -106,7 +106,7 @@ def staying_arguments() -> argparse.ArgumentParser:
     return staying
 
 
-def open_port(args: argparse.Namespace, *, tap: Tap | None = None) -> Port:
+def open_port(args: argparse.Namespace, *, on_bytes: OnBytes | None = None) -> Port:
     """Open the port that the arguments name; CallError where that cannot be."""
     try:
         return ports.open(
@@ -116,7 +116,7 @@ def open_port(args: argparse.Namespace, *, tap: Tap | None = None) -> Port:
             line=LineConfig(baudrate=args.baudrate, ping=getattr(args, "ping", None)),
             ts_unit=args.ts_unit,
             reconnect=getattr(args, "reconnect", False),
-            tap=tap,
+            on_bytes=on_bytes,
         )
     except (ValueError, PortNotFoundError, PortDeniedError, PortBusyError) as error:
         raise CallError(str(error)) from None

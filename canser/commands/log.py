@@ -178,7 +178,7 @@ def run(args: argparse.Namespace) -> int:
         with (
             _Teller(messages, as_json=args.json) as teller,
             warnings_as_lines(teller.warn),
-            open_port(args, tap=recorder.write) as port,
+            open_port(args, on_bytes=recorder.write) as port,
         ):
             ended = _Log(args, filters, port, recorder, teller).run(stop)
         if ended is not None:

@@ -29,7 +29,7 @@ from canser.live.config import LineConfig, adapter_config
 from canser.live.line import Line, open_line
 from canser.live.link import NO_MORE, Link
 from canser.live.ring import Gap, Ring
-from canser.live.stream import LiveStream, Tap
+from canser.live.stream import LiveStream, OnBytes
 from canser.timing.clocks import ClockEstimate, Stamper
 
 __all__ = ["Gap", "Port", "PortInfo", "list_ports", "open"]
@@ -59,7 +59,7 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
     ts_unit: str = "ms",
     device_time: bool = False,
     reconnect: bool = False,
-    tap: Tap | None = None,
+    on_bytes: OnBytes | None = None,
 ) -> "Port":
     """Open a live port: raw, exclusively, and with a thread that reads it.
 
@@ -84,9 +84,9 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
         no host times.
     reconnect : bool, default False
         Whether to wait for a device that is gone, and to go on. The gap is reported.
-    tap : callable, optional
+    on_bytes : callable, optional
         Is given all bytes as they came, before their frames are returned:
-        `tap(data, arrival_ns, lost)`. `data` is a memoryview, good until the call returns;
+        `on_bytes(data, arrival_ns, lost)`. `data` is a memoryview, good until the call returns;
         `arrival_ns` is in epoch nanoseconds; `lost` bytes are missing before it, -1 if their
         number is unknown.
 
@@ -120,8 +120,10 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
     device_time = flag(device_time, "device_time")
     if device_time and not row.has_clock:
         raise ValueError(f"{row.name} frames carry no device time; leave device_time out")
-    if tap is not None and not callable(tap):
-        raise TypeError(f"tap is {tap!r}; it must be a function of data, arrival_ns and lost")
+    if on_bytes is not None and not callable(on_bytes):
+        raise TypeError(
+            f"on_bytes is {on_bytes!r}; it must be a function of data, arrival_ns and lost"
+        )
     return Port(
         url,
         Decoder(row.name, ts_unit=ts_unit),
@@ -130,7 +132,7 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
         ts_unit=ts_unit,
         device_time=device_time,
         reconnect=flag(reconnect, "reconnect"),
-        tap=tap,
+        on_bytes=on_bytes,
     )
 
 
@@ -154,7 +156,7 @@ class Port(Uncopied):
         ts_unit: str,
         device_time: bool,
         reconnect: bool,
-        tap: Tap | None,
+        on_bytes: OnBytes | None,
     ) -> None:
         self._closed, self._pid = True, os.getpid()  # until it is open
         self.url, self.decoder, self.protocol = url, decoder, decoder.protocol
@@ -179,7 +181,7 @@ class Port(Uncopied):
             self._ring,
             decoder,
             stamper,
-            tap=tap,
+            on_bytes=on_bytes,
             ping_s=self._ping_s,
             device_time=device_time,
         )
@@ -236,7 +238,7 @@ class Port(Uncopied):
 
         PortGoneError when the device is gone, after all frames that came before;
         PortClosedError when the port is or gets closed. Errors of `out` as for
-        `Decoder.feed_into`. After another exception, of `tap` or Ctrl-C, the next call
+        `Decoder.feed_into`. After another exception, of `on_bytes` or Ctrl-C, the next call
         returns what this one had.
         """
         self._check_open()

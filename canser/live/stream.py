@@ -17,11 +17,11 @@ from canser.errors import CanserWarning
 from canser.live.ring import Gap, Piece, Ring
 from canser.timing.clocks import Stamper
 
-__all__ = ["LiveStream", "Tap"]
+__all__ = ["LiveStream", "OnBytes"]
 
 # Called with the bytes of each read, when they had arrived, and how many are missing before
 # them (-1: nobody knows).
-Tap = Callable[[memoryview, int, int], None]
+OnBytes = Callable[[memoryview, int, int], None]
 
 # So many bytes are judged at a time, to tell a wrong baud rate or protocol from noise.
 _WRONG_BYTES: Final = 4096
@@ -50,7 +50,7 @@ class LiveStream:
         decoder: Decoder,
         stamper: Stamper,
         *,
-        tap: Tap | None,
+        on_bytes: OnBytes | None,
         ping_s: float,
         device_time: bool,
     ) -> None:
@@ -61,10 +61,10 @@ class LiveStream:
         self.filled = 0  # frames in the room that was given last
         self._stamped = 0  # of these, those that have their times
         self._decoded = 0  # frames of the whole stream
-        self._url, self._ring, self._tap = url, ring, tap
+        self._url, self._ring, self._on_bytes = url, ring, on_bytes
         self._offsets = np.empty(0, np.int64)
         self._device_time = device_time
-        self._untold: deque[Piece] = deque()  # not given to the tap yet
+        self._untold: deque[Piece] = deque()  # not given to `on_bytes` yet
         self._missing = 0  # bytes lost before the next piece; -1: nobody knows how many
         self._ping = find_protocol(decoder.protocol).ping if ping_s else b""
         self._patience_ns = int(ping_s * _PATIENCE * 1e9)
@@ -80,7 +80,7 @@ class LiveStream:
         """Decode into `room` behind its first `count` frames; return how many it has then.
 
         Takes what the ring holds, as far as there is room. No byte is lost by an exception,
-        of the tap or by Ctrl-C: `filled` tells then how many frames `room` has.
+        of `on_bytes` or by Ctrl-C: `filled` tells then how many frames `room` has.
         """
         if len(self._offsets) < len(room):
             self._offsets = np.empty(len(room), np.int64)
@@ -166,8 +166,10 @@ class LiveStream:
             self.stamper.arrived(piece.end, piece.ns)
             self._arrived = piece.ns
             self._fresh = True
-            if self._tap is not None:
-                self._tap(data[piece.begin - begin : piece.end - begin], piece.ns, self._missing)
+            if self._on_bytes is not None:
+                self._on_bytes(
+                    data[piece.begin - begin : piece.end - begin], piece.ns, self._missing
+                )
                 self._missing = 0
         return data
 
