@@ -101,6 +101,8 @@ SETTINGS: dict[str, list[Any]] = {
 OPEN = SETTINGS | {
     "baudrate": ["fast", 1.5, True, 115_200.0, math.nan, 0, -1],
     "ring_size": [*NOT_WHOLE, 0, 10**15, 10**30],
+    "dtr": ["high", True, None, 1],
+    "rts": ["low", False, None, 0],
     "ping": ["x", True, math.nan, math.inf, 0, -1],
     "ts_unit": [5, None, "h"],
     "device_time": NOT_FLAGS,

@@ -333,9 +333,93 @@ def test_a_second_open_is_refused_and_harms_nothing() -> None:
         open_line(device.url, LineConfig(baudrate=115_200)).close()
 
 
+# What pyserial asks the system for, to switch modem lines on and off.
+SWITCHES = {
+    (termios.TIOCMBIS, termios.TIOCM_DTR): "dtr on",
+    (termios.TIOCMBIC, termios.TIOCM_DTR): "dtr off",
+    (termios.TIOCMBIS, termios.TIOCM_RTS): "rts on",
+    (termios.TIOCMBIC, termios.TIOCM_RTS): "rts off",
+}
+
+
+@pytest.mark.parametrize(
+    ("options", "switched"),
+    [
+        ({}, {"dtr on", "rts on"}),  # as opening does
+        ({"dtr": "off"}, {"dtr off", "rts on"}),
+        ({"rts": "off"}, {"dtr on", "rts off"}),
+        ({"dtr": "off", "rts": "off"}, {"dtr off", "rts off"}),
+        ({"dtr": "on", "rts": "on"}, {"dtr on", "rts on"}),
+    ],
+    ids=str,
+)
+def test_modem_lines_have_one_level_from_the_first_moment(
+    monkeypatch: pytest.MonkeyPatch, options: dict[str, str], switched: set[str]
+) -> None:
+    """A pseudo terminal takes the part of a serial device, whose driver knows modem lines."""
+    seen: list[str] = []
+    ioctl = fcntl.ioctl
+
+    def driver(fd: int, request: int, *rest: Any) -> Any:
+        if request not in (termios.TIOCMBIS, termios.TIOCMBIC):
+            return ioctl(fd, request, *rest)
+        seen.append(SWITCHES[request, int.from_bytes(rest[0], sys.byteorder)])
+        return 0
+
+    with Device() as device:
+        monkeypatch.setattr(fcntl, "ioctl", driver)
+        with opened(device.url, **options):
+            assert set(seen) == switched
+
+
+@pytest.mark.parametrize("name", ["dtr", "rts"])
+@pytest.mark.parametrize("level", ["on", "off"])
+def test_modem_lines_that_are_not_there(name: str, level: str) -> None:
+    before = descriptors()
+    with Device() as device:
+        why = f"^{device.url} has no modem lines .*, so {name} cannot be set; leave {name} out$"
+        with pytest.raises(ValueError, match=why):
+            open_line(device.url, LineConfig(baudrate=115_200, **{name: level}))  # type: ignore[arg-type]
+        with opened(device.url, **{name: "leave"}):
+            pass
+    why = f"^socket://127.0.0.1:1 carries no modem lines, so {name} cannot be set; use rfc2217://"
+    with pytest.raises(ValueError, match=why):  # before it is looked for
+        open_line("socket://127.0.0.1:1", LineConfig(baudrate=115_200, **{name: level}))  # type: ignore[arg-type]
+    assert descriptors() == before
+
+
+@old_threads
+def test_modem_lines_over_rfc2217() -> None:
+    with TelnetServer() as server, opened(server.url, dtr="off", rts="on"):
+        port = server.manager.serial
+        until(lambda: (port.dtr, port.rts) == (False, True))
+
+
+def test_an_error_of_a_modem_line_closes_the_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    ioctl = fcntl.ioctl
+
+    def driver(fd: int, request: int, *rest: Any) -> Any:
+        if request == termios.TIOCMBIC:
+            raise OSError(errno.EINVAL if not seen else errno.EIO, "no")
+        return ioctl(fd, request, *rest)
+
+    before = descriptors()
+    with Device() as device:
+        seen = True
+        monkeypatch.setattr(fcntl, "ioctl", driver)
+        with pytest.raises(PortNotFoundError, match=f"there is no port {device.url}"):
+            open_line(device.url, LineConfig(baudrate=115_200, dtr="off"))
+        seen = False
+        with pytest.raises(ValueError, match="has no modem lines"):
+            open_line(device.url, LineConfig(baudrate=115_200, dtr="off"))
+    assert descriptors() == before
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        ({"dtr": "up"}, "unknown dtr 'up'; have: leave, on, off"),
+        ({"rts": True}, "unknown rts True; have: leave, on, off"),
         ({"baudrate": 0}, "baudrate is 0; it must be 1 or more"),
         ({"ring_size": 1000}, "ring_size is 1000; it must be 65536 or more"),
         ({"ping": 0}, "ping is 0; it must be more than 0 seconds, and not infinite"),

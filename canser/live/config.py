@@ -6,10 +6,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
-from canser._checks import flag, instance, real, whole
+from canser._checks import choice, flag, instance, real, whole
 from canser.adapters import AdapterConfig
 
-__all__ = ["LineConfig", "adapter_config", "flat_config"]
+__all__ = ["LEVELS", "LineConfig", "adapter_config", "flat_config"]
+
+# What a modem line may be at opening.
+LEVELS: Final = ("leave", "on", "off")
 
 # A terminal gives up to 4 KiB a read, and the reader of the line asks for 64 KiB at once. A
 # smaller ring would lose bytes of any reader.
@@ -24,6 +27,11 @@ class LineConfig:
     ----------
     baudrate : int, optional
         Of the line, in bit/s; None: the rate that adapters of the protocol come with.
+    dtr, rts : str, default "leave"
+        What the modem lines DTR and RTS are at opening: "leave", as the system sets them, which
+        is on; "on"; "off". Some boards reset, or do not send, by the level of these lines. They
+        are set before the port is opened; Linux itself still switches them on for some
+        milliseconds then. Pseudo terminals and `socket://` have none.
     flush : bool, default False
         Whether bytes that wait in the system at opening are thrown away.
     ring_size : int, default 8388608
@@ -37,7 +45,7 @@ class LineConfig:
     TypeError
         For a value of another type.
     ValueError
-        For a number out of range.
+        For an unknown name, or a number out of range.
 
     Examples
     --------
@@ -46,6 +54,8 @@ class LineConfig:
     """
 
     baudrate: int | None = None
+    dtr: str = "leave"
+    rts: str = "leave"
     flush: bool = False
     ring_size: int = 8 << 20
     ping: float | None = None
@@ -55,6 +65,8 @@ class LineConfig:
         put = partial(object.__setattr__, self)
         if self.baudrate is not None:
             put("baudrate", whole(self.baudrate, "baudrate", "115200", least=1))
+        choice(self.dtr, "dtr", LEVELS)
+        choice(self.rts, "rts", LEVELS)
         put("flush", flag(self.flush, "flush"))
         put("ring_size", whole(self.ring_size, "ring_size", "8 << 20", least=_RING_SIZE_LEAST))
         if self.ping is not None:

@@ -75,6 +75,11 @@ def open_line(url: str, config: LineConfig) -> Line:
     server = _server(url) if scheme in _OVER_TCP else None
     if scheme == "socket":
         assert server is not None
+        if names := " and ".join(_levels(config)):
+            raise ValueError(
+                f"{url} carries no modem lines, so {names} cannot be set; "
+                f"use rfc2217://, or leave {names} out"
+            )
         source: Any = _connect(url, *server)
     else:
         source = _open_serial(url, config)
@@ -141,11 +146,32 @@ def _open_serial(url: str, config: LineConfig) -> Any:
     if not config.flush:
         # Opening throws away what waits there; these are what it calls for that.
         port.reset_input_buffer = port._reset_input_buffer = _nothing
+    levels = _levels(config)
+    for name, level in levels.items():
+        setattr(port, name, level)  # before it is open: then a line is never at the other level
     try:
         port.open()
     except Exception as error:  # noqa: BLE001 - as above
         raise _open_error(url, config.baudrate, error) from None
+    try:
+        # Opening passes in silence over modem lines that are not there; setting them does not.
+        for name, level in levels.items():
+            setattr(port, name, level)
+    except OSError as error:
+        port.close()
+        if error.errno not in (errno.ENOTTY, errno.EINVAL):
+            raise _open_error(url, config.baudrate, error) from None
+        raise ValueError(
+            f"{url} has no modem lines (pseudo terminals have none), so {name} cannot be set; "
+            f"leave {name} out"
+        ) from None
     return port
+
+
+def _levels(config: LineConfig) -> dict[str, bool]:
+    """Return the modem lines that are to be set, and whether on."""
+    asked = {"dtr": config.dtr, "rts": config.rts}
+    return {name: level == "on" for name, level in asked.items() if level != "leave"}
 
 
 def _nothing() -> None:
