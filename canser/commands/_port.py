@@ -11,7 +11,7 @@ from canser.commands._numbers import duration, whole
 from canser.commands._parser import CallError, Parser, protocol_name
 from canser.errors import PortBusyError, PortDeniedError, PortNotFoundError
 from canser.live import ports
-from canser.live.config import LineConfig, flat_config
+from canser.live.config import LEVELS, LineConfig, flat_config
 from canser.live.ports import Port
 from canser.live.stream import OnBytes
 
@@ -47,6 +47,14 @@ def port_arguments() -> argparse.ArgumentParser:
         type=whole(least=1, most=_BAUDRATE_MOST),
         help="of the line (default: the protocol's own)",
     )
+    for line, what in (("--dtr", "Data Terminal Ready"), ("--rts", "Request To Send")):
+        group.add_argument(
+            line,
+            choices=LEVELS,
+            default="leave",
+            help=f"the modem line {what} at opening; some boards reset, or do not send, by its "
+            "level (default: leave, as the system sets it: on)",
+        )
     group.add_argument(
         "--bitrate",
         type=whole(least=1),
@@ -113,7 +121,12 @@ def open_port(args: argparse.Namespace, *, on_bytes: OnBytes | None = None) -> P
             args.channel,
             args.protocol,
             config=_adapter_config(args),
-            line=LineConfig(baudrate=args.baudrate, ping=getattr(args, "ping", None)),
+            line=LineConfig(
+                baudrate=args.baudrate,
+                dtr=args.dtr,
+                rts=args.rts,
+                ping=getattr(args, "ping", None),
+            ),
             ts_unit=args.ts_unit,
             reconnect=getattr(args, "reconnect", False),
             on_bytes=on_bytes,
