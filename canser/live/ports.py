@@ -160,7 +160,7 @@ class Port(Uncopied):
     ) -> None:
         self._closed, self._pid = True, os.getpid()  # until it is open
         self.url, self.decoder, self.protocol = url, decoder, decoder.protocol
-        packet = b"" if config is None else adapters.configuration(self.protocol, config)
+        config_packet = b"" if config is None else adapters.configuration(self.protocol, config)
         self.bitrate = None if config is None else config.bitrate
         assert line.baudrate is not None  # `open` has set it
         self.baudrate = line.baudrate
@@ -190,10 +190,10 @@ class Port(Uncopied):
         self._stash: deque[FrameArray] = deque()
         self._held = False  # what `hold_ready` was told
         # Nothing in the thread may hold the port: it would never be collected.
-        self._greeting = _Greeting(packet)
+        self._connect = _Connect(url, line, config_packet)
         self._link = Link(
             url,
-            _Connect(url, line, self._greeting),
+            self._connect,
             self._ring,
             self._clock,
             byte_s=_BITS / self.baudrate,
@@ -475,7 +475,7 @@ class Port(Uncopied):
             raise ValueError("bitrate is missing; give bitrate or config")
         packet = adapters.configuration(self.protocol, config)
         self.send_raw(packet)
-        self._greeting.data, self.bitrate = packet, config.bitrate
+        self._connect.config_packet, self.bitrate = packet, config.bitrate
         time.sleep(_SETTLE)
 
     def request_status(self, *, timeout: float | None = 1.0) -> AdapterReport:
@@ -653,34 +653,28 @@ class Port(Uncopied):
         return np.append(starts[1:count], len(raw))
 
 
-class _Greeting:
-    """What an adapter is told when it is opened."""
-
-    def __init__(self, data: bytes) -> None:
-        self.data = data
-
-
 class _Connect:
-    """Open the line, and make the adapter ready."""
+    """Open the line, and configure the adapter by `config_packet`; b"" leaves it as it is."""
 
-    def __init__(self, url: str, config: LineConfig, greeting: _Greeting) -> None:
-        self._url, self._config, self._greeting = url, config, greeting
+    def __init__(self, url: str, line: LineConfig, config_packet: bytes) -> None:
+        self._url, self._line, self.config_packet = url, line, config_packet
 
     def __call__(self) -> Line:
-        line = open_line(self._url, self._config)
-        greeting = memoryview(self._greeting.data)
+        line = open_line(self._url, self._line)
+        packet = self.config_packet  # another thread may set the next one
+        rest = memoryview(packet)
         try:
-            while greeting:
-                count = line.write(greeting, 1.0)
+            while rest:
+                count = line.write(rest, 1.0)
                 if not count:
                     raise PortError(
                         f"{self._url} does not take the adapter's configuration; is it plugged in?"
                     )
-                greeting = greeting[count:]
+                rest = rest[count:]
         except BaseException:
             line.close()
             raise
-        if self._greeting.data:
+        if packet:
             time.sleep(_SETTLE)
         return line
 
