@@ -759,7 +759,7 @@ def test_a_device_that_is_away_has_no_lost_ping(tmp_path: Path) -> None:
         device.unplug()
         until(lambda: port._ring.at_gap)
         port.read_batch(timeout=0)
-        port._stream.watch(time.time_ns() + 10**12, port._link.last_beat)  # long ago
+        port._stream.watch(time.time_ns() + 10**12, port._link.last_heartbeat)  # long ago
         assert [gap.reason for gap in port.take_gaps()] == ["reconnect"]
         port_path.symlink_to(target)
         new = replug()

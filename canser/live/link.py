@@ -40,10 +40,11 @@ _HOLD: Final = 0.05
 class Link:
     """An open line, and a thread that drains it into a ring as fast as bytes come.
 
-    `connect` opens the line of `url` and makes the device ready; it is called here, and again
-    after the line is gone if `reconnect`. `byte_s`: seconds that a byte takes on the line. `beat`,
-    bytes, is sent every `beat_s` seconds. `clock` gives epoch nanoseconds. Raises what
-    `connect` raises, and PortError where the system starts no more threads.
+    `connect` opens the line of `url` and configures the adapter. It is called here, and again
+    after the line is gone if `reconnect`. `byte_s`: seconds that a byte takes on the line.
+    `heartbeat`: bytes that are sent every `heartbeat_s` seconds; b"" for none. `clock` gives
+    epoch nanoseconds. Raises what `connect` raises, and PortError where the system starts no more
+    threads.
     """
 
     def __init__(
@@ -55,13 +56,13 @@ class Link:
         *,
         byte_s: float,
         reconnect: bool,
-        beat: bytes,
-        beat_s: float,
+        heartbeat: bytes,
+        heartbeat_s: float,
     ) -> None:
         self._url, self._connect, self._ring, self._clock = url, connect, ring, clock
         self._byte_s = byte_s
-        self._reconnect, self._beat, self._beat_s = reconnect, beat, beat_s
-        self.last_beat = 0  # when the last one went out on this line; 0: not yet
+        self._reconnect, self._heartbeat, self._heartbeat_s = reconnect, heartbeat, heartbeat_s
+        self.last_heartbeat = 0  # when the last one went out on this line; 0: not yet
         self._line: Line | None = connect()  # None while it is away
         # For who writes, and who changes the line. Reentrant, as a signal handler may close
         # the port in the middle of a write.
@@ -182,7 +183,7 @@ class Link:
                 if not self._reconnect or not isinstance(error, PortGoneError):
                     self._ring.close(error)
                     return
-                self.last_beat = 0
+                self.last_heartbeat = 0
                 self._ring.interrupt(self._clock(), "reconnect")
                 self._come_back()
 
@@ -194,11 +195,11 @@ class Link:
         came, rest = 0, _REST
         while not closing.is_set():
             timeout = None
-            if self._beat:
+            if self._heartbeat:
                 now = time.monotonic()
                 if now >= due:
-                    self._send_beat(line)
-                    due = max(due + self._beat_s, now)
+                    self._send_heartbeat(line)
+                    due = max(due + self._heartbeat_s, now)
                 timeout = max(due - now, 0)
             room = ring.room()
             count = line.read_into(scratch if room is None else room, timeout)
@@ -227,13 +228,13 @@ class Link:
         if data:
             self._ring.lose(len(data), self._clock())
 
-    def _send_beat(self, line: Line) -> None:
+    def _send_heartbeat(self, line: Line) -> None:
         # Never into the middle of a packet: then the next one will do.
         if self._writing.acquire(blocking=False):
             try:
-                if not self._rest and (sent := line.write(memoryview(self._beat), 0)):
-                    self._rest = memoryview(self._beat)[sent:]
-                    self.last_beat = self._clock()
+                if not self._rest and (sent := line.write(memoryview(self._heartbeat), 0)):
+                    self._rest = memoryview(self._heartbeat)[sent:]
+                    self.last_heartbeat = self._clock()
             finally:
                 self._writing.release()
 

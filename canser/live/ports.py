@@ -198,8 +198,8 @@ class Port(Uncopied):
             self._clock,
             byte_s=_BITS / self.baudrate,
             reconnect=reconnect,
-            beat=row.ping if line.ping is not None else b"",
-            beat_s=self._ping_s,
+            heartbeat=row.ping if line.ping is not None else b"",
+            heartbeat_s=self._ping_s,
         )
         self._closed = False
 
@@ -633,7 +633,7 @@ class Port(Uncopied):
     def _watch(self) -> None:
         """See whether the watchdog's ping comes back."""
         if self._ping_s:
-            self._stream.watch(self._clock(), self._link.last_beat)
+            self._stream.watch(self._clock(), self._link.last_heartbeat)
 
     def _wait(self, wanted: int, deadline: float | None) -> bool:
         """Wait for bytes; see meanwhile whether the watchdog's ping comes back."""
