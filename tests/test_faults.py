@@ -195,7 +195,7 @@ def test_errors_of_writing_name_the_port_once(monkeypatch: pytest.MonkeyPatch) -
                 port.send(traffic(1))
         assert str(caught.value).startswith(f"{device.url}: Cannot allocate memory; 0 of ")
         device.unplug()
-        until(lambda: port._link._line is None)
+        until(lambda: port._reader._line is None)
         with pytest.raises(canser.SendError, match=f"^{device.url}: the device is gone; 0 of "):
             port.send(traffic(1))
         calls: list[Callable[[], int]] = [port.drain, lambda: port.bytes_unsent]
@@ -275,7 +275,7 @@ def test_a_packet_does_not_go_on_on_another_line(tmp_path: Path) -> None:
     with replugged(tmp_path) as (_, port, replug):
         with pytest.raises(canser.SendError):
             port.send(frames, timeout=0.05)  # in the middle of a frame, as a rule
-        port._link._rest = memoryview(b"the rest")  # and here for sure
+        port._reader._rest = memoryview(b"the rest")  # and here for sure
         new = replug()
         until(lambda: port.take_gaps() or not len(port.read_batch(timeout=0)))
         mark = array(Frame(0x7E5, dlc=1, data=b"\x55".ljust(8, b"\0")))
@@ -298,7 +298,7 @@ def test_a_device_that_comes_back_is_configured_again(tmp_path: Path) -> None:
         assert device.read(20) == first
         new = replug()
         assert new.read(20) == first
-        until(lambda: port._link._line is not None)
+        until(lambda: port._reader._line is not None)
         port.configure(bitrate=125_000)
         assert new.read(20) == second
         assert replug().read(20) == second
@@ -308,7 +308,7 @@ def test_a_port_may_be_closed_while_its_device_is_away() -> None:
     with plugged(reconnect=True) as (device, port):
         reader = Background(port.read_batch)
         device.unplug()
-        until(lambda: port._link._line is None)
+        until(lambda: port._reader._line is None)
         with pytest.raises(canser.SendError, match="the device is gone"):
             port.send(traffic(1))
         with pytest.raises(canser.PortGoneError, match="the device is gone"):
@@ -326,7 +326,7 @@ def test_a_device_that_comes_back_as_something_else_is_an_error(
         def connect() -> None:
             raise RuntimeError("not what anybody expected")
 
-        monkeypatch.setattr(port._link, "_connect", connect)
+        monkeypatch.setattr(port._reader, "_connect", connect)
         device.unplug()
         with pytest.raises(canser.PortError, match="not what anybody expected"):
             port.read_batch()
@@ -759,7 +759,7 @@ def test_a_device_that_is_away_has_no_lost_ping(tmp_path: Path) -> None:
         device.unplug()
         until(lambda: port._ring.at_gap)
         port.read_batch(timeout=0)
-        port._stream.watch(time.time_ns() + 10**12, port._link.last_heartbeat)  # long ago
+        port._stream.watch(time.time_ns() + 10**12, port._reader.last_heartbeat)  # long ago
         assert [gap.reason for gap in port.take_gaps()] == ["reconnect"]
         port_path.symlink_to(target)
         new = replug()

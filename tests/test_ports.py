@@ -845,7 +845,7 @@ def test_a_send_that_is_interrupted_leaves_whole_packets() -> None:
         with plugged() as (device, port):
 
             def interrupt() -> None:
-                until(lambda: port._link._writing.locked() and device.hears())
+                until(lambda: port._reader._writing.locked() and device.hears())
                 signal.pthread_kill(main, signal.SIGUSR1)
 
             interrupter = Background(interrupt)
@@ -889,7 +889,7 @@ def test_a_port_is_closed_once() -> None:
         assert port.stats.frames == 0
         assert port.take_gaps() == []
     assert descriptors() == before
-    assert not [t for t in threading.enumerate() if t.name == "canser link"]
+    assert not [t for t in threading.enumerate() if t.name == "canser reader"]
 
 
 @pytest.mark.parametrize("way", ["read", "send", "drain"])
@@ -931,15 +931,15 @@ def test_a_port_may_be_collected_in_its_own_thread() -> None:
     done = threading.Event()
     with Device() as device:
         port = canser.open(device.url, "seeed")
-        link, put = port._link, port._ring.put
+        reader, put = port._reader, port._ring.put
 
         def collect_in(count: int, ns: int) -> None:
             put(count, ns)
-            with link._ring._lock:
+            with reader._ring._lock:
                 gc.collect()
             done.set()
 
-        link._ring.put = collect_in  # type: ignore[method-assign]
+        reader._ring.put = collect_in  # type: ignore[method-assign]
         cycle: list[object] = [port]
         cycle.append(cycle)
         gc.disable()
@@ -949,8 +949,8 @@ def test_a_port_may_be_collected_in_its_own_thread() -> None:
                 del port, cycle
                 device.feed(b"x")
                 assert done.wait(PATIENCE)
-                link._thread.join(PATIENCE)
-                assert not link._thread.is_alive()
+                reader._thread.join(PATIENCE)
+                assert not reader._thread.is_alive()
             assert [w.category for w in caught] == [ResourceWarning]
         finally:
             gc.enable()

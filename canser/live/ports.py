@@ -27,7 +27,7 @@ from canser.codec.decoder import Control, Decoder, Stats, decode, encode
 from canser.errors import PortClosedError, PortError, SendError, SendTimeoutError
 from canser.live.config import LineConfig, adapter_config
 from canser.live.line import Line, open_line
-from canser.live.link import NO_MORE, Link
+from canser.live.reader import NO_MORE, LineReader
 from canser.live.ring import Gap, Ring
 from canser.live.stream import LiveStream, OnBytes
 from canser.timing.clocks import ClockEstimate, Stamper
@@ -191,7 +191,7 @@ class Port(Uncopied):
         self._held = False  # what `hold_ready` was told
         # Nothing in the thread may hold the port: it would never be collected.
         self._connect = _Connect(url, line, config_packet)
-        self._link = Link(
+        self._reader = LineReader(
             url,
             self._connect,
             self._ring,
@@ -397,7 +397,7 @@ class Port(Uncopied):
             ends = self._ends(raw)
             return int(ends[np.searchsorted(ends, written)]) - written
 
-        written, why = self._link.write(raw, timeout, lacks)
+        written, why = self._reader.write(raw, timeout, lacks)
         if not why:
             return len(frames)
         whole = int(np.searchsorted(self._ends(raw), written, side="right"))
@@ -412,7 +412,7 @@ class Port(Uncopied):
         self._check_open()
         timeout = check_timeout(timeout)
         raw = as_bytes(data).tobytes()
-        written, why = self._link.write(raw, timeout, lambda _: 0)
+        written, why = self._reader.write(raw, timeout, lambda _: 0)
         if why:
             kind = SendTimeoutError if why == NO_MORE else SendError
             raise kind(f"{self.url}: {why}; {written} of {len(raw)} bytes were sent", 0, why)
@@ -426,10 +426,10 @@ class Port(Uncopied):
         timeout = check_timeout(timeout)
         deadline = _deadline(timeout)
         # What is left of a frame that a time-out of `send` has cut.
-        _, why = self._link.write(b"", timeout, lambda _: 0)
+        _, why = self._reader.write(b"", timeout, lambda _: 0)
         while True:
             self._check_open()
-            held = self._link.unwritten()
+            held = self._reader.unwritten()
             if why:
                 return False
             if not held:
@@ -447,7 +447,7 @@ class Port(Uncopied):
         when the device is gone.
         """
         self._check_open()
-        return self._link.unwritten()
+        return self._reader.unwritten()
 
     # The adapter's own commands
 
@@ -516,7 +516,7 @@ class Port(Uncopied):
         if self._pid != os.getpid():
             return  # the parent's: its thread is not here, and its line stays open
         self._ring.close(PortClosedError(f"{self.url} is closed"))
-        self._link.close()
+        self._reader.close()
 
     # Inside
 
@@ -633,7 +633,7 @@ class Port(Uncopied):
     def _watch(self) -> None:
         """See whether the watchdog's ping comes back."""
         if self._ping_s:
-            self._stream.watch(self._clock(), self._link.last_heartbeat)
+            self._stream.watch(self._clock(), self._reader.last_heartbeat)
 
     def _wait(self, wanted: int, deadline: float | None) -> bool:
         """Wait for bytes; see meanwhile whether the watchdog's ping comes back."""

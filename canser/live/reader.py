@@ -10,7 +10,7 @@ from canser.errors import CanserError, PortError, PortGoneError
 from canser.live.line import Line
 from canser.live.ring import Ring, holds
 
-__all__ = ["NO_MORE", "Link"]
+__all__ = ["NO_MORE", "LineReader"]
 
 # Where bytes go while the ring is full, to be counted.
 _SCRATCH: Final = 1 << 16
@@ -37,7 +37,7 @@ GONE: Final = "the device is gone"
 _HOLD: Final = 0.05
 
 
-class Link:
+class LineReader:
     """An open line, and a thread that drains it into a ring as fast as bytes come.
 
     `connect` opens the line of `url` and configures the adapter. It is called here, and again
@@ -70,7 +70,7 @@ class Link:
         self._writing = threading.Lock()
         self._rest = memoryview(b"")  # of a packet whose start went out
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="canser link", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="canser reader", daemon=True)
         try:
             start_thread(self._thread, url, PortError)
         except PortError:
