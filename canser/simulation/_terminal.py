@@ -21,7 +21,7 @@ from typing import Final
 from canser._named import named
 from canser.errors import PortError
 
-__all__ = ["Link", "Terminal"]
+__all__ = ["Symlink", "Terminal"]
 
 _OPENED: Final = 0x20  # IN_OPEN
 _CLOSED: Final = 0x08 | 0x10  # IN_CLOSE_WRITE, IN_CLOSE_NOWRITE
@@ -190,7 +190,7 @@ class _Watch:
         raise OSError(number, os.strerror(number), os.fsdecode(self._path))
 
 
-class Link:
+class Symlink:
     """A name that stays while terminals come and go: a symbolic link. "" for none.
 
     FileExistsError if there is something else of that name, a link that leads to no terminal

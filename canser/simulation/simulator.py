@@ -27,7 +27,7 @@ from canser.adapters import AdapterReport
 from canser.codec.decoder import Decoder, encode
 from canser.errors import PortError
 from canser.simulation._outgoing import Outgoing
-from canser.simulation._terminal import Link, Terminal
+from canser.simulation._terminal import Symlink, Terminal
 
 __all__ = ["PACES", "Simulator", "SimulatorReport"]
 
@@ -164,7 +164,7 @@ class Simulator(Uncopied):
         self._stalls = collections.deque(sorted(stalls))
         self._unplug_at = unplug_after
         self._copy = copy
-        self._link = Link(text(link, "link", "'/tmp/can'"))
+        self._symlink = Symlink(text(link, "link", "'/tmp/can'"))
         self._link_path = link
 
         self._out = Outgoing(
@@ -568,7 +568,7 @@ class Simulator(Uncopied):
         with named("a new pseudo terminal"):
             terminal = Terminal()
         try:
-            self._link.point(terminal.path)
+            self._symlink.point(terminal.path)
         except BaseException:
             terminal.close()
             raise
@@ -590,7 +590,7 @@ class Simulator(Uncopied):
     def _hang_up(self) -> None:
         terminal, self._terminal = self._terminal, None
         if terminal is not None:
-            self._link.remove()
+            self._symlink.remove()
             self._bytes_unread += terminal.close()
 
 
