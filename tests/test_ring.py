@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from canser.errors import PortGoneError
-from canser.live.ring import Gap, Piece, Ring
+from canser.live.ring import Gap, Read, Ring
 from device import until
 
 SIZE = 64
@@ -58,7 +58,7 @@ class RingMachine(RuleBasedStateMachine):
         self.next = 0
         self.lost = 0
         self.gaps: list[Gap] = []
-        self.pieces: list[Piece] = []
+        self.reads: list[Read] = []
         self.full = False
         self.ended = False
 
@@ -95,7 +95,7 @@ class RingMachine(RuleBasedStateMachine):
         count = min(wanted, len(room))
         room[:count] = data[:count]
         self.ring.put(count, self.ns)
-        self.pieces.append(Piece(self.end, self.end + count, self.ns))
+        self.reads.append(Read(self.end, self.end + count, self.ns))
         self.held += data[:count]
         self.next += count
 
@@ -107,15 +107,15 @@ class RingMachine(RuleBasedStateMachine):
 
     @rule(share=st.floats(0, 1))
     def bytes_go(self, share: float) -> None:
-        data, pieces = self.ring.peek()
+        data, reads = self.ring.peek()
         stop = self.gaps[0].offset if self.gaps else self.end
         expected = self.held[: stop - self.begin]
         # All of it in one piece of memory, or what lies before the memory's end.
         assert data.tobytes() == bytes(expected[: len(data)])
         assert len(data) in (len(expected), self.size - self.begin % self.size)
-        shown = [piece for piece in self.pieces if piece.end <= self.begin + len(data)]
-        assert pieces == shown
-        self.pieces = self.pieces[len(shown) :]
+        shown = [read for read in self.reads if read.end <= self.begin + len(data)]
+        assert reads == shown
+        self.reads = self.reads[len(shown) :]
         count = int(share * len(data))
         self.begin += count
         del self.held[:count]
@@ -189,9 +189,9 @@ def test_two_threads_lose_nothing_uncounted() -> None:
     lost = 0
     while ring.error is None:
         assert ring.wait(random_reader.randint(1, 3000), time.monotonic() + 60)
-        data, pieces = ring.peek()
-        for piece in pieces:
-            assert offset <= piece.begin < piece.end <= offset + len(data)
+        data, reads = ring.peek()
+        for read in reads:
+            assert offset <= read.begin < read.end <= offset + len(data)
         count = random_reader.randint(0, len(data))
         assert data[:count].tobytes() == bytes((position + i) % 251 for i in range(count))
         position += count

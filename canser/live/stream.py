@@ -14,7 +14,7 @@ from canser.adapters import AdapterReport
 from canser.codec.decoder import Control, Decoder
 from canser.codec.doubt import is_doubtful
 from canser.errors import CanserWarning
-from canser.live.ring import Gap, Piece, Ring
+from canser.live.ring import Gap, Read, Ring
 from canser.timing.clocks import Stamper
 
 __all__ = ["LiveStream", "OnBytes"]
@@ -64,14 +64,14 @@ class LiveStream:
         self._url, self._ring, self._on_bytes = url, ring, on_bytes
         self._offsets = np.empty(0, np.int64)
         self._device_time = device_time
-        self._untold: deque[Piece] = deque()  # not given to `on_bytes` yet
-        self._missing = 0  # bytes lost before the next piece; -1: nobody knows how many
+        self._untold: deque[Read] = deque()  # not given to `on_bytes` yet
+        self._missing = 0  # bytes lost before the next read; -1: it is unknown how many
         self._ping = find_protocol(decoder.protocol).ping if ping_s else b""
         self._patience_ns = int(ping_s * _PATIENCE * 1e9)
         self._asked = 0  # when the ping went out that shall come back; 0 for none
         self._answered = 0  # when the last ping came back
-        self._arrived = 0  # when the last piece did
-        self._fresh = False  # pieces have come of which no frame has its time yet
+        self._arrived = 0  # when the last read had arrived
+        self._fresh = False  # reads have come of which no frame has its time yet
         self._searching = False  # the ping is lost: look for it among the bytes
         self._looked = (0, 0)  # bytes in and skipped when the share was last looked at
         self._warned: set[str] = set()
@@ -158,18 +158,16 @@ class LiveStream:
 
     def _peek(self) -> memoryview:
         """Return the next bytes of the ring, and tell of those that are new."""
-        data, pieces = self._ring.peek()
+        data, reads = self._ring.peek()
         begin = self.decoder.position
-        self._untold.extend(pieces)
+        self._untold.extend(reads)
         while self._untold:  # some may be left by an exception
-            piece = self._untold.popleft()
-            self.stamper.arrived(piece.end, piece.ns)
-            self._arrived = piece.ns
+            read = self._untold.popleft()
+            self.stamper.arrived(read.end, read.ns)
+            self._arrived = read.ns
             self._fresh = True
             if self._on_bytes is not None:
-                self._on_bytes(
-                    data[piece.begin - begin : piece.end - begin], piece.ns, self._missing
-                )
+                self._on_bytes(data[read.begin - begin : read.end - begin], read.ns, self._missing)
                 self._missing = 0
         return data
 
