@@ -119,7 +119,7 @@ class RingMachine(RuleBasedStateMachine):
         count = int(share * len(data))
         self.begin += count
         del self.held[:count]
-        self.ring.took(self.begin)
+        self.ring.release_to(self.begin)
 
     @rule()
     def the_gap_goes(self) -> None:
@@ -196,7 +196,7 @@ def test_two_threads_lose_nothing_uncounted() -> None:
         assert data[:count].tobytes() == bytes((position + i) % 251 for i in range(count))
         position += count
         offset += count
-        ring.took(offset)
+        ring.release_to(offset)
         if count == len(data) and (gap := ring.take_gap()) is not None:
             assert gap.offset == offset
             position += gap.lost
@@ -209,9 +209,9 @@ def test_two_threads_lose_nothing_uncounted() -> None:
 def test_a_full_ring_stays_full_until_a_sixteenth_is_free() -> None:
     ring = Ring(SIZE)
     assert len(fill(ring)) == SIZE
-    ring.took(SIZE // 16 - 1)
+    ring.release_to(SIZE // 16 - 1)
     assert ring.room() is None
-    ring.took(SIZE // 16)
+    ring.release_to(SIZE // 16)
     assert ring.room() is not None
 
 
@@ -242,7 +242,7 @@ def test_a_gap_wakes_who_came_too_late_for_the_bytes_before_it() -> None:
     ring = Ring(SIZE)
     fd = ring.fileno()
     fill(ring)
-    ring.took(SIZE)  # just before the next bytes are counted
+    ring.release_to(SIZE)  # just before the next bytes are counted
     assert not readable(fd)
     told: list[None] = []
     ring.listen(1, lambda: told.append(None))
@@ -273,7 +273,7 @@ def test_the_descriptor_is_readable_while_frames_are_held() -> None:
     ring.hold_ready(True)
     assert readable(fd)
     put(ring, b"1")
-    ring.took(1)
+    ring.release_to(1)
     assert readable(fd)
     ring.hold_ready(False)
     assert not readable(fd)

@@ -174,8 +174,8 @@ class Ring:
                 reads.append(self._reads.popleft())
             return self._bytes[at : at + count], reads
 
-    def took(self, offset: int) -> None:
-        """Give the memory of the bytes before this offset back."""
+    def release_to(self, offset: int) -> None:
+        """Release the bytes before this offset: new ones may take their place."""
         with self._lock:
             self._begin = offset
             self._set_signal()

@@ -89,7 +89,7 @@ class LiveStream:
             self._decode(room)
         except BaseException:
             # It may have come behind the decoder's work, before anybody took note of it.
-            self._ring.took(self.decoder.position)
+            self._ring.release_to(self.decoder.position)
             self._count(self.decoder.stats.frames - self._decoded)
             self._keep_controls()
             self._stamp(room)
@@ -148,7 +148,7 @@ class LiveStream:
             room_left = room[self.filled :], self._offsets[self.filled :]
             _, count = self.decoder.feed_into(data, *room_left)
             self._count(count)
-            self._ring.took(self.decoder.position)
+            self._ring.release_to(self.decoder.position)
             self._keep_controls()
 
     def _count(self, count: int) -> None:
