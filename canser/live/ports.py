@@ -187,7 +187,7 @@ class Port(Uncopied):
         )
         self._reading = threading.RLock()
         # Decoded in a call that returned no frames: an exception, or the wait for a status.
-        self._stash: deque[FrameArray] = deque()
+        self._pending_frames: deque[FrameArray] = deque()
         self._held = False  # what `hold_ready` was told
         # Nothing in the thread may hold the port: it would never be collected.
         self._connect = _Connect(url, line, config_packet)
@@ -323,7 +323,7 @@ class Port(Uncopied):
     def hold_ready(self, held: bool) -> None:
         """Keep that descriptor readable, for a caller who has frames left to hand on."""
         self._held = held
-        self._ring.hold_ready(held or bool(self._stash))
+        self._ring.hold_ready(held or bool(self._pending_frames))
 
     def take_controls(self) -> list[Control]:
         """Return the control packets since the last call, oldest first: offset and bytes.
@@ -393,11 +393,11 @@ class Port(Uncopied):
                 frames["ts"][unknown] = self._clock() - self._opened_ns
         raw = encode(frames, self.protocol, ts_unit=self._ts_unit)
 
-        def lacks(written: int) -> int:
+        def missing(written: int) -> int:
             ends = self._ends(raw)
             return int(ends[np.searchsorted(ends, written)]) - written
 
-        written, why = self._reader.write(raw, timeout, lacks)
+        written, why = self._reader.write(raw, timeout, missing)
         if not why:
             return len(frames)
         whole = int(np.searchsorted(self._ends(raw), written, side="right"))
@@ -536,7 +536,7 @@ class Port(Uncopied):
 
     def _read_into(self, room: FrameArray, min_frames: int, deadline: float | None) -> int:
         """Read as `read_batch` does, return how many frames `room` has then."""
-        count = self._stream.filled = self._unstash(room)
+        count = self._stream.filled = self._take_pending(room)
         begin, start = time.monotonic(), self.decoder.position
         try:
             while True:
@@ -567,7 +567,7 @@ class Port(Uncopied):
                     # Less than was hoped for may still be some.
                     return self._stream.decode_into(room, count)
         except BaseException:
-            self._stash_from(room, first=True)
+            self._keep_pending(room, first=True)
             raise
 
     def _read_ahead(self, deadline: float) -> None:
@@ -582,16 +582,16 @@ class Port(Uncopied):
                     raise error
                 self._wait(1, deadline)
         finally:
-            self._stash_from(room, first=False)
+            self._keep_pending(room, first=False)
 
-    def _stash_from(self, room: FrameArray, *, first: bool) -> None:
+    def _keep_pending(self, room: FrameArray, *, first: bool) -> None:
         """Keep the frames that were decoded into `room` for the next read."""
         if self._stream.filled:
             frames = copy_records(room[: self._stream.filled])
             if first:
-                self._stash.appendleft(frames)
+                self._pending_frames.appendleft(frames)
             else:
-                self._stash.append(frames)
+                self._pending_frames.append(frames)
             self._ring.hold_ready(True)
 
     def _end_error(self) -> Exception | None:
@@ -616,17 +616,17 @@ class Port(Uncopied):
                 f"max_frames is {count}; it must be frames that the system has memory for"
             ) from None
 
-    def _unstash(self, room: FrameArray) -> int:
+    def _take_pending(self, room: FrameArray) -> int:
         """Move frames that were decoded earlier into `room`; return how many."""
         count = 0
-        while self._stash and count < len(room):
-            frames = self._stash.popleft()
+        while self._pending_frames and count < len(room):
+            frames = self._pending_frames.popleft()
             fits = min(len(frames), len(room) - count)
             put_records(room[count : count + fits], frames[:fits])
             count += fits
             if fits < len(frames):
-                self._stash.appendleft(frames[fits:])
-        if count and not self._stash:
+                self._pending_frames.appendleft(frames[fits:])
+        if count and not self._pending_frames:
             self._ring.hold_ready(self._held)
         return count
 

@@ -78,12 +78,12 @@ class LineReader:
             raise
 
     def write(
-        self, data: bytes, timeout: float | None, lacks: Callable[[int], int]
+        self, data: bytes, timeout: float | None, missing: Callable[[int], int]
     ) -> tuple[int, str]:
         """Write bytes behind what is left of an earlier packet.
 
-        `lacks`: how many bytes a packet lacks that is cut behind so many bytes of `data`.
-        They go out before anything else, unless the line is gone.
+        `missing(n)`: how many bytes are missing of the packet that is cut behind the first n bytes
+        of `data`. They go out before anything else, unless the line is gone.
 
         Returns how many bytes of `data` went out or will, and why not all did ("" if all did).
         """
@@ -101,7 +101,7 @@ class LineReader:
                     written += count
             finally:  # whatever ends it, an interrupt too
                 if 0 < written < len(view) and why in ("", NO_MORE):
-                    self._rest = view[written : written + lacks(written)]
+                    self._rest = view[written : written + missing(written)]
                     written += len(self._rest)
         finally:
             self._writing.release()
