@@ -161,7 +161,7 @@ class CanserBus(Uncopied, can.BusABC):
         self._can_protocol = can.CanProtocol.CAN_20
         self._rules: list[_Rule] = []
         self._queue: deque[Row] = deque()
-        self._sieve: object = None  # the filters that all in the queue have passed
+        self._active_filters: object = None  # the filters that all in the queue have passed
         self._watched = False  # somebody has the descriptor
         self._lock = Lock()  # for the queue as a whole; not held while anybody waits
         try:
@@ -180,15 +180,16 @@ class CanserBus(Uncopied, can.BusABC):
         if self._watched and not self._queue:
             self._set_ready()
         # If the filters have changed meanwhile python-can applies the new ones.
-        return can.Message(*row), self._sieve is self._filters
+        return can.Message(*row), self._active_filters is self._filters
 
     def _fill(self, timeout: float | None) -> None:
         """Put frames that pass the filters into the queue, or none after the time-out."""
-        sieve = self._filters
+        filters = self._filters
         frames = self._read(_BATCH, timeout)
         with self._lock:
             # Another thread may have put some there, by other filters.
-            self._sieve = None if self._queue and sieve is not self._sieve else sieve
+            same = not self._queue or filters is self._active_filters
+            self._active_filters = filters if same else None
             self._queue.extend(rows(frames))
         if self._watched:
             self._set_ready()
