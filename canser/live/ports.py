@@ -30,7 +30,7 @@ from canser.live.line import Line, open_line
 from canser.live.reader import NO_MORE, LineReader
 from canser.live.ring import Gap, Ring
 from canser.live.stream import LiveStream, OnBytes
-from canser.timing.clocks import ClockEstimate, Stamper
+from canser.timing.clocks import ClockEstimate, FrameClock
 
 __all__ = ["Gap", "Port", "PortInfo", "list_ports", "open"]
 
@@ -174,13 +174,13 @@ class Port(Uncopied):
             raise ValueError(
                 f"ring_size is {line.ring_size}; it must be bytes that the system has memory for"
             ) from None
-        stamper = Stamper(row.has_clock, _BITS * 1e9 / self.baudrate, row.frame_max)
+        frame_clock = FrameClock(row.has_clock, _BITS * 1e9 / self.baudrate, row.frame_max)
         self._ping_s = line.ping or 0.0
         self._stream = LiveStream(
             url,
             self._ring,
             decoder,
-            stamper,
+            frame_clock,
             on_bytes=on_bytes,
             ping_s=self._ping_s,
             device_time=device_time,
@@ -357,7 +357,7 @@ class Port(Uncopied):
 
         With `device_time` nothing is.
         """
-        return self._stream.stamper.clock
+        return self._stream.frame_clock.estimate
 
     @property
     def status(self) -> AdapterReport | None:

@@ -15,7 +15,7 @@ from canser.codec.decoder import Control, Decoder
 from canser.codec.doubt import is_doubtful
 from canser.errors import CanserWarning
 from canser.live.ring import Gap, Read, Ring
-from canser.timing.clocks import Stamper
+from canser.timing.clocks import FrameClock
 
 __all__ = ["LiveStream", "OnBytes"]
 
@@ -48,18 +48,18 @@ class LiveStream:
         url: str,
         ring: Ring,
         decoder: Decoder,
-        stamper: Stamper,
+        frame_clock: FrameClock,
         *,
         on_bytes: OnBytes | None,
         ping_s: float,
         device_time: bool,
     ) -> None:
-        self.decoder, self.stamper = decoder, stamper
+        self.decoder, self.frame_clock = decoder, frame_clock
         self.controls: deque[Control] = deque(maxlen=_KEPT)
         self.gaps: deque[Gap] = deque(maxlen=_KEPT)
         self.status: AdapterReport | None = None  # the last one that came
         self.filled = 0  # frames in the room that was given last
-        self._stamped = 0  # of these, those that have their times
+        self._timed = 0  # of these, those that have their times
         self._decoded = 0  # frames of the whole stream
         self._url, self._ring, self._on_bytes = url, ring, on_bytes
         self._offsets = np.empty(0, np.int64)
@@ -84,7 +84,7 @@ class LiveStream:
         """
         if len(self._offsets) < len(room):
             self._offsets = np.empty(len(room), np.int64)
-        self.filled = self._stamped = count
+        self.filled = self._timed = count
         try:
             self._decode(room)
         except BaseException:
@@ -92,17 +92,17 @@ class LiveStream:
             self._ring.release_to(self.decoder.position)
             self._count(self.decoder.stats.frames - self._decoded)
             self._keep_controls()
-            self._stamp(room)
+            self._assign_times(room)
             raise
-        self._stamp(room)
+        self._assign_times(room)
         self._look_at_share()
         return self.filled
 
     def end_into(self, room: FrameArray, count: int) -> int:
         """End the stream: decode what is held, too."""
-        self.filled = self._stamped = count
+        self.filled = self._timed = count
         self._flush(room)
-        self._stamp(room)
+        self._assign_times(room)
         return self.filled
 
     def watch(self, now: int, last_ping: int) -> None:
@@ -134,7 +134,7 @@ class LiveStream:
                     self._flush(room)  # it will never be whole
                 if self.decoder.pending or (gap := self._ring.take_gap()) is None:
                     break
-                self._stamp(room)
+                self._assign_times(room)
                 self._pass(gap)
                 continue
             if self._searching and (at := bytes(data[:_SEARCH]).find(self._ping)) >= 0:
@@ -163,7 +163,7 @@ class LiveStream:
         self._untold.extend(reads)
         while self._untold:  # some may be left by an exception
             read = self._untold.popleft()
-            self.stamper.arrived(read.end, read.ns)
+            self.frame_clock.add_arrival(read.end, read.ns)
             self._arrived = read.ns
             self._fresh = True
             if self._on_bytes is not None:
@@ -180,24 +180,24 @@ class LiveStream:
 
     def _pass(self, gap: Gap) -> None:
         """Go on behind a gap."""
-        self.stamper.gap()
+        self.frame_clock.gap()
         self.gaps.append(gap)
         self._missing = -1 if -1 in (gap.lost, self._missing) else self._missing + gap.lost
         if gap.reason == "reconnect":
             self._asked, self._searching = 0, False
 
-    def _stamp(self, room: FrameArray) -> None:
+    def _assign_times(self, room: FrameArray) -> None:
         """Give the frames that are new in `room` their times."""
-        new = slice(self._stamped, self.filled)
-        self._stamped = self.filled
+        new = slice(self._timed, self.filled)
+        self._timed = self.filled
         if self._device_time:
             return
         if new.stop > new.start or self._fresh:
             self._fresh = False
             end = self.decoder.position - self.decoder.pending
-            self.stamper.stamp(room[new], self._offsets[new], end)
-            if self.stamper.remark is not None:
-                self._warn("clock", f"{self._url}: {self.stamper.remark}")
+            self.frame_clock.assign_times(room[new], self._offsets[new], end)
+            if self.frame_clock.remark is not None:
+                self._warn("clock", f"{self._url}: {self.frame_clock.remark}")
 
     def _keep_controls(self) -> None:
         for control in self.decoder.take_controls():

@@ -64,7 +64,7 @@ from canser._core.clock import Line, find_arrivals, find_lowest, find_ranked
 from canser._frames import FrameArray
 from canser._protocols import TS_UNITS
 
-__all__ = ["ClockEstimate", "Stamper"]
+__all__ = ["ClockEstimate", "FrameClock"]
 
 _MS: Final = 1_000_000
 _SECOND: Final = 1_000 * _MS
@@ -125,17 +125,17 @@ class ClockEstimate:
     restarts: int
 
 
-class Stamper:
+class FrameClock:
     """Sets the times of one stream's frames to host times, in epoch nanoseconds.
 
     `clocked`: the format has device times. `byte_ns`: what a byte takes on the line,
     10 bits at the baud rate; 0 if the line has none. `frame_max`: bytes of the longest frame.
 
-    The same pieces and frames give the same times wherever `stamp` calls are cut, with
+    The same pieces and frames give the same times wherever `assign_times` calls are cut, with
     one exception: where noise or a control packet follows the last frame of a call, a frame
     without a device time may have a time later by up to `frame_max` bytes.
 
-    One thread may call `arrived` and `gap`, and another one `stamp`.
+    One thread may call `add_arrival` and `gap`, and another one `assign_times`.
     """
 
     def __init__(self, clocked: bool, byte_ns: float, frame_max: int) -> None:
@@ -150,7 +150,7 @@ class Stamper:
         self._gaps: deque[int] = deque()
         self._times = np.empty(0, np.int64)
 
-    def arrived(self, end: int, ns: int) -> None:
+    def add_arrival(self, end: int, ns: int) -> None:
         """Take note that the bytes up to offset `end` had come by `ns`, epoch nanoseconds.
 
         Once for each read, in order; a time before that of the last piece counts as that.
@@ -165,7 +165,7 @@ class Stamper:
         if self._clock is not None:
             self._gaps.append(self._pieces[-1][0])
 
-    def stamp(self, frames: FrameArray, offsets: Times, end: int) -> None:
+    def assign_times(self, frames: FrameArray, offsets: Times, end: int) -> None:
         """Set `frames["ts"]`, in place.
 
         `frames`: FRAME_DTYPE, shape (n,), with device times in nanoseconds if the format has
@@ -178,7 +178,7 @@ class Stamper:
         if end > pieces[-1][0]:
             raise ValueError(
                 f"frames end at offset {end}, but bytes have arrived up to {pieces[-1][0]} only; "
-                "call arrived() first"
+                "call add_arrival() first"
             )
         # A quarter of the time that np.array takes for tuples.
         known = np.fromiter(chain.from_iterable(pieces), np.int64, 2 * len(pieces))
@@ -194,7 +194,7 @@ class Stamper:
         del self._pieces[: max(gone, 0)]
 
     @property
-    def clock(self) -> ClockEstimate | None:
+    def estimate(self) -> ClockEstimate | None:
         """The estimate of the device's clock; None if there is no clock, or nothing is known."""
         return None if self._clock is None else self._clock.estimate
 
