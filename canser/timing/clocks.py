@@ -60,7 +60,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canser._core.buffers import Times
-from canser._core.clock import Line, find_arrivals, find_lowest, find_ranked
+from canser._core.clock import ClockLine, find_arrivals, find_lowest, find_ranked
 from canser._frames import FrameArray
 from canser._protocols import TS_UNITS
 
@@ -249,7 +249,7 @@ class _DeviceClock:
     def __init__(self) -> None:
         self.estimate: ClockEstimate | None = None
         self.remark: str | None = None
-        self._line = Line(_TOLERANCE, _NEVER)
+        self._line = ClockLine(_TOLERANCE, _NEVER)
         self._bucket = _Bucket()
         self._opened = 0  # when it began
         # Buckets are short until a second has passed since the first one, or the first after a gap.
@@ -283,7 +283,7 @@ class _DeviceClock:
             part = slice(start, start + left)
             held = self._bucket.add(device[part], times[part])
             if self._host is None:
-                self._line.pass_by(int(times[part][-1]))
+                self._line.floor_at(int(times[part][-1]))
             else:
                 self._line.map(held, times[part], self._reached, self._longest_queue)
             if len(held) == left:
@@ -337,13 +337,13 @@ class _DeviceClock:
         self._frames += len(device)
         self._reached = middle
         host = self._host = self._fit()
-        self._line.lay(self._device, host, self._drift)
-        heights = delays  # in their place
-        self._line.find_heights(device, arrivals, heights)
+        self._line.set(self._device, host, self._drift)
+        residuals = delays  # in their place
+        self._line.find_residuals(device, arrivals, residuals)
         self.estimate = ClockEstimate(
             offset_ns=host - self._device,
             drift_ppm=-self._drift * 1e6,
-            jitter_ns=max(0, find_ranked(heights, len(heights) // 2)[0]),
+            jitter_ns=max(0, find_ranked(residuals, len(residuals) // 2)[0]),
             frames=self._frames,
             restarts=self._restarts,
         )
@@ -370,10 +370,10 @@ class _DeviceClock:
         """Tell by a bucket's minimum, as arrays of one, and its middle if the clock jumped."""
         if self._host is None:
             return False
-        height = np.empty(1, np.int64)
-        self._line.find_heights(device, arrival, height)
+        residual = np.empty(1, np.int64)
+        self._line.find_residuals(device, arrival, residual)
         back = _wrapped(middle - self._reached) < -_TOLERANCE
-        return back or not -_LONGEST_QUEUE <= height[0] <= self._longest_queue
+        return back or not -_LONGEST_QUEUE <= residual[0] <= self._longest_queue
 
     def _fit(self) -> int:
         """Put the line below the points; return the host's time at the last one."""
@@ -387,10 +387,10 @@ class _DeviceClock:
             drift = _middle(slopes)
             if _middle(np.abs(slopes - drift)) <= _DRIFT_SPREAD:
                 self._drift = min(max(drift, -_DRIFT_MOST), _DRIFT_MOST)
-        heights = delays - self._drift * device
-        lowest = heights.min()
-        if count > _STUCK and heights[-_STUCK:].min() > lowest + _STUCK_NS:
-            lowest = heights[-_STUCK:].min()
+        residuals = delays - self._drift * device
+        lowest = residuals.min()
+        if count > _STUCK and residuals[-_STUCK:].min() > lowest + _STUCK_NS:
+            lowest = residuals[-_STUCK:].min()
             self._points = points[:, -_STUCK:]
         self._device = int(points[0, -1])
         return int(points[1, -1]) + int(lowest)
