@@ -32,11 +32,11 @@ if sys.platform != "win32":
 
 __all__ = ["Line", "open_line"]
 
-# Seconds in which a TCP connection must come about.
-_CONNECT_PATIENCE: Final = 5.0
+# A TCP connection must come about within this time.
+_CONNECT_TIMEOUT_S: Final = 5.0
 
-# Lines without a descriptor cannot be woken: so often they look whether they shall end.
-_LOOK_EVERY: Final = 0.1
+# A read of a line without a descriptor cannot be woken. It looks this often whether it must end.
+_LOOK_EVERY_S: Final = 0.1
 
 
 class Line(Protocol):
@@ -121,7 +121,7 @@ def _server(url: str) -> tuple[str, int]:
 
 def _connect(url: str, host: str, number: int) -> socket.socket:
     try:
-        return socket.create_connection((host, number), timeout=_CONNECT_PATIENCE)
+        return socket.create_connection((host, number), timeout=_CONNECT_TIMEOUT_S)
     except OSError as error:
         raise PortNotFoundError(
             f"nobody answers at {url}: {error.strerror or error}; is the server running?"
@@ -134,7 +134,7 @@ def _open_serial(url: str, config: LineConfig) -> Any:
     assert config.baudrate is not None  # `canser.open` has set it
     try:
         port: Any = serial.serial_for_url(
-            url, do_not_open=True, baudrate=config.baudrate, timeout=_LOOK_EVERY, exclusive=True
+            url, do_not_open=True, baudrate=config.baudrate, timeout=_LOOK_EVERY_S, exclusive=True
         )
     except serial.SerialException as error:  # hwgrep:// has looked for the port already
         raise PortNotFoundError(
@@ -444,7 +444,7 @@ class _Serial:
         deadline = None if timeout is None else time.monotonic() + timeout
         while not self._awake:
             try:
-                # What is there, or the first byte that comes within _LOOK_EVERY.
+                # What is there, or the first byte that comes within _LOOK_EVERY_S.
                 data = self._port.read(max(1, min(self._port.in_waiting, len(room))))
             except (OSError, TypeError) as error:  # TypeError: closed meanwhile
                 data = _left_behind(self._port, len(room))

@@ -37,16 +37,16 @@ __all__ = ["Gap", "Port", "PortInfo", "list_ports", "open"]
 _T = TypeVar("_T")
 
 # Bits of a byte on the line, with its start and stop bit.
-_BITS: Final = 10
+_BYTE_BITS: Final = 10
 
-# The adapter's document asks for a pause after its configuration, in seconds.
-_SETTLE: Final = 0.1
+# The pause after a configuration that the adapter's document asks for.
+_SETTLE_S: Final = 0.1
 
-# Frames that are due within so many seconds, at the rate of those before, come soon.
-_SOON: Final = 0.02
+# Frames come soon if they are due within this time, at the rate of those before.
+_SOON_S: Final = 0.02
 
-# Who waits for a status lets others read after so many seconds.
-_TURN: Final = 0.02
+# A call that waits for a status reads for this time, and then lets other threads read.
+_TURN_S: Final = 0.02
 
 
 def open(  # noqa: A001 - the name that the interface has, used as canser.open
@@ -174,7 +174,7 @@ class Port(Uncopied):
             raise ValueError(
                 f"ring_size is {line.ring_size}; it must be bytes that the system has memory for"
             ) from None
-        frame_clock = FrameClock(row.has_clock, _BITS * 1e9 / self.baudrate, row.frame_max)
+        frame_clock = FrameClock(row.has_clock, _BYTE_BITS * 1e9 / self.baudrate, row.frame_max)
         self._ping_s = line.ping or 0.0
         self._stream = LiveStream(
             url,
@@ -196,7 +196,7 @@ class Port(Uncopied):
             self._connect,
             self._ring,
             self._clock,
-            byte_s=_BITS / self.baudrate,
+            byte_s=_BYTE_BITS / self.baudrate,
             reconnect=reconnect,
             heartbeat=row.ping if line.ping is not None else b"",
             heartbeat_s=self._ping_s,
@@ -437,7 +437,7 @@ class Port(Uncopied):
             if deadline is not None and time.monotonic() >= deadline:
                 return False
             # As long as the line needs for it, but for not longer than one notices.
-            time.sleep(min(max(held * _BITS / self.baudrate, 0.0005), 0.02))
+            time.sleep(min(max(held * _BYTE_BITS / self.baudrate, 0.0005), 0.02))
 
     @property
     def bytes_unsent(self) -> int:
@@ -476,7 +476,7 @@ class Port(Uncopied):
         packet = adapters.configuration(self.protocol, config)
         self.send_raw(packet)
         self._connect.config_packet, self.bitrate = packet, config.bitrate
-        time.sleep(_SETTLE)
+        time.sleep(_SETTLE_S)
 
     def request_status(self, *, timeout: float | None = 1.0) -> AdapterReport:
         """Ask the adapter for its status, and return the answer.
@@ -498,9 +498,9 @@ class Port(Uncopied):
                     "is it this kind of adapter?"
                 )
             # Somebody else who reads finds the answer, too.
-            if self._take_turn(_sooner(deadline, _TURN)):
+            if self._take_turn(_sooner(deadline, _TURN_S)):
                 try:
-                    self._read_ahead(_sooner(deadline, _TURN))
+                    self._read_ahead(_sooner(deadline, _TURN_S))
                 finally:
                     self._reading.release()
         return status
@@ -557,7 +557,7 @@ class Port(Uncopied):
                     now = time.monotonic()
                     soon = now + (now - begin) * missing / count
                     if (
-                        soon < now + _SOON
+                        soon < now + _SOON_S
                         and (deadline is None or soon < deadline)
                         and self._wait(max(missing * came // count, 1), soon)
                     ):
@@ -675,7 +675,7 @@ class _Connect:
             line.close()
             raise
         if packet:
-            time.sleep(_SETTLE)
+            time.sleep(_SETTLE_S)
         return line
 
 

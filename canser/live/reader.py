@@ -15,26 +15,26 @@ __all__ = ["NO_MORE", "LineReader"]
 # Where bytes go while the ring is full, to be counted.
 _SCRATCH: Final = 1 << 16
 
-# Frames that come one by one would wake the thread for each: after a read that gave less than a
-# terminal holds it rests, and times may be late by as much, in seconds. A line that is busy nearly
-# all the time bears a longer rest, for there bytes are timed by the bit rate: by at most a fifth
-# of it they are late. At 2 Mbaud 2,400 bytes come meanwhile, three fifths of what a terminal holds.
-_REST: Final = 0.001
-_REST_BUSY: Final = 0.012
+# Frames that come one by one would wake the thread for each. So the thread sleeps after a read
+# that gave less than a terminal holds, and times may be late by that sleep. On a busy line the
+# thread may sleep longer: bytes are dated back from the baud rate, so the error is at most a fifth
+# of the sleep. At 2 Mbaud 2,400 bytes come in the longer sleep, 3/5 of what a terminal holds.
+_REST_S: Final = 0.001
+_REST_BUSY_S: Final = 0.012
 _BUSY: Final = 0.8
 _SMALL: Final = 4000
 
-# How busy a line is, is told from so many seconds: many rests.
-_WINDOW: Final = 0.1
+# The share of the time in which a line is busy is measured over this time: many sleeps.
+_WINDOW_S: Final = 0.1
 
-# Seconds between two tries to open a line anew: the first one, and at most.
-_RETRY: Final = (0.05, 1.0)
+# The time between two tries to open a line anew: the first one, and the longest.
+_RETRY_S: Final = (0.05, 1.0)
 
 NO_MORE: Final = "the line took no more within the time-out"
 GONE: Final = "the device is gone"
 
-# A writer holds the line for so many seconds at a time, so that it can be closed.
-_HOLD: Final = 0.05
+# A writer holds the line for this time at most, so that the line can be closed.
+_HOLD_S: Final = 0.05
 
 
 class LineReader:
@@ -142,7 +142,7 @@ class LineReader:
         self._ring.release()
 
     def _write_some(self, data: memoryview, deadline: float | None) -> tuple[int, str]:
-        left = _HOLD if deadline is None else min(deadline - time.monotonic(), _HOLD)
+        left = _HOLD_S if deadline is None else min(deadline - time.monotonic(), _HOLD_S)
         if self._closing.is_set():  # asked before the lock, which whoever closes waits for
             return 0, self._why_no_line()
         with self._line_lock:
@@ -154,7 +154,7 @@ class LineReader:
                 return 0, GONE
             except (CanserError, OSError) as error:
                 return 0, str(error).removeprefix(f"{self._url}: ")
-        if not count and left < _HOLD:
+        if not count and left < _HOLD_S:
             return 0, NO_MORE
         return count, ""
 
@@ -192,7 +192,7 @@ class LineReader:
         ring, clock, closing = self._ring, self._clock, self._closing
         scratch = memoryview(bytearray(_SCRATCH))
         begin = due = time.monotonic()
-        came, rest = 0, _REST
+        came, rest = 0, _REST_S
         while not closing.is_set():
             timeout = None
             if self._heartbeat:
@@ -212,10 +212,10 @@ class LineReader:
             came += count
             if rest and count < _SMALL:
                 time.sleep(rest)
-            if (now := time.monotonic()) - begin > _WINDOW:
+            if (now := time.monotonic()) - begin > _WINDOW_S:
                 busy = came * self._byte_s / (now - begin)
                 # Faster than its bits are lines that have none, such as pseudo terminals.
-                rest = 0.0 if busy > 1.5 else _REST_BUSY if busy > _BUSY else _REST
+                rest = 0.0 if busy > 1.5 else _REST_BUSY_S if busy > _BUSY else _REST_S
                 begin, came = now, 0
 
     def _keep(self, data: memoryview) -> None:
@@ -240,7 +240,7 @@ class LineReader:
 
     def _come_back(self) -> None:
         """Open the line anew, whenever that is possible."""
-        pause, longest = _RETRY
+        pause, longest = _RETRY_S
         while not self._closing.wait(pause):
             # Whoever writes has to leave first: no packet may go on on another line.
             if not self._writing.acquire(blocking=False):

@@ -19,21 +19,21 @@ from canser.timing.clocks import FrameClock
 
 __all__ = ["LiveStream", "OnBytes"]
 
-# Called with the bytes of each read, when they had arrived, and how many are missing before
-# them (-1: nobody knows).
+# Called with the bytes of each read, the time at which they had arrived, and the number of bytes
+# that are missing before them (-1: it is unknown).
 OnBytes = Callable[[memoryview, int, int], None]
 
-# So many bytes are judged at a time, to tell a wrong baud rate or protocol from noise.
+# A wrong baud rate or protocol is told from noise by this many bytes at a time.
 _WRONG_BYTES: Final = 4096
 
-# Control packets and gaps that nobody takes: the newest so many are kept.
+# Control packets and gaps that are not taken: the newest ones are kept, this many of each.
 _KEPT: Final = 1 << 16
 
-# How far the ping is looked for at a time.
+# A lost ping is looked for in this many bytes at a time.
 _SEARCH: Final = 1 << 16
 
-# A ping that is away for so many periods is lost.
-_PATIENCE: Final = 2.5
+# A ping that has not come back after this many periods is lost.
+_PATIENCE_PERIODS: Final = 2.5
 
 
 class LiveStream:
@@ -67,7 +67,7 @@ class LiveStream:
         self._untold: deque[Read] = deque()  # not given to `on_bytes` yet
         self._missing = 0  # bytes lost before the next read; -1: it is unknown how many
         self._ping = find_protocol(decoder.protocol).ping if ping_s else b""
-        self._patience_ns = int(ping_s * _PATIENCE * 1e9)
+        self._patience_ns = int(ping_s * _PATIENCE_PERIODS * 1e9)
         self._asked = 0  # when the ping went out that shall come back; 0 for none
         self._answered = 0  # when the last ping came back
         self._arrived = 0  # when the last read had arrived
