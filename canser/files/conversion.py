@@ -16,7 +16,7 @@ from canser.files.frame_file import RAW, FrameFile
 __all__ = ["Converted", "convert"]
 
 # A device's counter has this many ticks.
-_TURN = 1 << 32
+_TICKS = 1 << 32
 
 
 @dataclass(slots=True)
@@ -89,7 +89,7 @@ def _counted(
     for frames in blocks:
         if ts_unit is not None and not done.frames:
             first = int(frames["ts"][0])
-            if first != NO_TIME and not 0 <= first // TS_UNITS[ts_unit] < _TURN:
+            if first != NO_TIME and not 0 <= first // TS_UNITS[ts_unit] < _TICKS:
                 start = first
                 done.remarks.append("times go out from the first frame on")
         done.frames += len(frames)

@@ -66,37 +66,37 @@ from canser._protocols import TS_UNITS
 
 __all__ = ["ClockEstimate", "FrameClock"]
 
-_MS: Final = 1_000_000
-_SECOND: Final = 1_000 * _MS
+_MS_NS: Final = 1_000_000
+_S_NS: Final = 1_000 * _MS_NS
 
 # Before all arrivals: the time of the piece before the first.
-_NEVER: Final = -(2**62)
+_NEVER_NS: Final = -(2**62)
 
 # How far a mapped time may lie behind the arrival, or a device time before those of the last
 # bucket, before it is taken for wrong: over what the least delay differs by from one second
 # to the next (some frame of a second hits a latency timer of 16 ms early), below most of what
 # bytes out of noise give.
-_TOLERANCE: Final = 10 * _MS
+_TOLERANCE_NS: Final = 10 * _MS_NS
 
 # The longest that bytes may queue: 64 KiB in the kernel are 6 s of a busy line at 115,200
 # baud, and ten times that of a quiet one. As long as the rate of the clock is not known, a
 # clock that is too slow looks like a queue that grows: then no more than a tick of the
 # coarsest clock, and a second.
-_LONGEST_QUEUE: Final = 60 * _SECOND
-_LONGEST_QUEUE_UNPROVEN: Final = 2 * _SECOND
+_LONGEST_QUEUE_NS: Final = 60 * _S_NS
+_LONGEST_QUEUE_UNPROVEN_NS: Final = 2 * _S_NS
 
-_BUCKET_NS: Final = _SECOND
+_BUCKET_NS: Final = _S_NS
 _BUCKET_FRAMES: Final = 8  # at least; the third lowest of fewer is no low one
 _FIRST_FRAMES: Final = 4
 
-_WINDOW: Final = 300  # points: five minutes of a busy bus, in which crystals are steady
-_STUCK: Final = 30  # points in a row above the line: no queue lasts as long
-_STUCK_NS: Final = 20 * _MS
+_WINDOW_POINTS: Final = 300  # five minutes of a busy bus, in which crystals are steady
+_STUCK_POINTS: Final = 30  # in a row above the line: no queue lasts as long
+_STUCK_NS: Final = 20 * _MS_NS
 
 # A slope needs a span: over 30 s minima that differ by 1 ms give 50 ppm, as much as a crystal is
 # off. It is believed if half of the slopes are within 200 ppm of it: with ticks of a second
 # they are not. The most is beyond what CAN itself bears between two nodes, 1.58 %.
-_DRIFT_SPAN: Final = 30 * _SECOND
+_DRIFT_SPAN_NS: Final = 30 * _S_NS
 _DRIFT_POINTS: Final = 10
 _DRIFT_SPREAD: Final = 200e-6
 _DRIFT_MOST: Final = 20_000e-6
@@ -146,7 +146,7 @@ class FrameClock:
         self._reach = 1 if clocked else frame_max
         # Pieces by the offset behind them and their time. The first one holds no bytes
         # that are still of interest: it only tells when the next one began.
-        self._pieces: list[tuple[int, int]] = [(0, _NEVER)]
+        self._pieces: list[tuple[int, int]] = [(0, _NEVER_NS)]
         self._gaps: deque[int] = deque()
         self._times = np.empty(0, np.int64)
 
@@ -249,7 +249,7 @@ class _DeviceClock:
     def __init__(self) -> None:
         self.estimate: ClockEstimate | None = None
         self.remark: str | None = None
-        self._line = ClockLine(_TOLERANCE, _NEVER)
+        self._line = ClockLine(_TOLERANCE_NS, _NEVER_NS)
         self._bucket = _Bucket()
         self._opened = 0  # when it began
         # Buckets are short until a second has passed since the first one, or the first after a gap.
@@ -266,7 +266,7 @@ class _DeviceClock:
         # Of buckets, a second apart at least: the medians of device times and of arrivals.
         self._middles: deque[tuple[int, int]] = deque(maxlen=_RATES + 1)
         self._reached = 0  # the last such device time
-        self._longest_queue = _LONGEST_QUEUE_UNPROVEN
+        self._longest_queue = _LONGEST_QUEUE_UNPROVEN_NS
         self._restarts = 0
 
     def follow(self, device: Times, times: Times) -> None:
@@ -294,7 +294,7 @@ class _DeviceClock:
         """Doubt what is known: the line stays if the next frames agree with it."""
         self._bucket.count = 0  # it may be too small to tell anything
         self._middles.clear()
-        self._longest_queue = _LONGEST_QUEUE_UNPROVEN
+        self._longest_queue = _LONGEST_QUEUE_UNPROVEN_NS
         self._settled = False
         self._since = None
         self._tried = 0
@@ -315,8 +315,8 @@ class _DeviceClock:
         self._settled = int(arrivals[-1]) - self._since >= _BUCKET_NS
 
         usual, low, high = find_ranked(delays, total // 2)
-        if max(usual - low, high - usual) > _LONGEST_QUEUE:
-            near = np.abs(delays - usual) <= _LONGEST_QUEUE
+        if max(usual - low, high - usual) > _LONGEST_QUEUE_NS:
+            near = np.abs(delays - usual) <= _LONGEST_QUEUE_NS
             device, arrivals, delays = device[near], arrivals[near], delays[near]
         middle, _, _ = find_ranked(device, len(device) // 2)
         self._check_rate(device, middle, int(arrivals[len(arrivals) // 2]))
@@ -333,7 +333,7 @@ class _DeviceClock:
             self._restarts += 1
             self._forget()
             return
-        self._points = np.concatenate((self._points, point), axis=1)[:, -_WINDOW:]
+        self._points = np.concatenate((self._points, point), axis=1)[:, -_WINDOW_POINTS:]
         self._frames += len(device)
         self._reached = middle
         host = self._host = self._fit()
@@ -360,10 +360,10 @@ class _DeviceClock:
         if len(agree) * 2 <= len(rates):
             return  # noise, or the device restarts all the time
         if _RATE_LEAST <= rate <= _RATE_MOST:
-            self._longest_queue = _LONGEST_QUEUE
+            self._longest_queue = _LONGEST_QUEUE_NS
             self.remark = None
         else:
-            self._longest_queue = _LONGEST_QUEUE_UNPROVEN
+            self._longest_queue = _LONGEST_QUEUE_UNPROVEN_NS
             self.remark = _describe_rate(float(np.mean(agree)), device)
 
     def _jumped(self, device: Times, arrival: Times, middle: int) -> bool:
@@ -372,14 +372,14 @@ class _DeviceClock:
             return False
         residual = np.empty(1, np.int64)
         self._line.find_residuals(device, arrival, residual)
-        back = _wrapped(middle - self._reached) < -_TOLERANCE
-        return back or not -_LONGEST_QUEUE <= residual[0] <= self._longest_queue
+        back = _wrapped(middle - self._reached) < -_TOLERANCE_NS
+        return back or not -_LONGEST_QUEUE_NS <= residual[0] <= self._longest_queue
 
     def _fit(self) -> int:
         """Put the line below the points; return the host's time at the last one."""
         points, count = self._points, self._points.shape[1]
         device, arrivals, delays = (points - points[:, -1:]).astype(np.float64)
-        if count >= _DRIFT_POINTS and -arrivals[0] >= _DRIFT_SPAN:
+        if count >= _DRIFT_POINTS and -arrivals[0] >= _DRIFT_SPAN_NS:
             lag = count // 4
             # The points of short buckets may lie closer together, or in one.
             apart = np.maximum(arrivals[lag:] - arrivals[:-lag], _BUCKET_NS)
@@ -389,9 +389,9 @@ class _DeviceClock:
                 self._drift = min(max(drift, -_DRIFT_MOST), _DRIFT_MOST)
         residuals = delays - self._drift * device
         lowest = residuals.min()
-        if count > _STUCK and residuals[-_STUCK:].min() > lowest + _STUCK_NS:
-            lowest = residuals[-_STUCK:].min()
-            self._points = points[:, -_STUCK:]
+        if count > _STUCK_POINTS and residuals[-_STUCK_POINTS:].min() > lowest + _STUCK_NS:
+            lowest = residuals[-_STUCK_POINTS:].min()
+            self._points = points[:, -_STUCK_POINTS:]
         self._device = int(points[0, -1])
         return int(points[1, -1]) + int(lowest)
 
