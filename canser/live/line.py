@@ -59,7 +59,7 @@ class Line(Protocol):
         """Let a `read_into` of another thread return at once."""
 
     def close(self) -> None:
-        """Close the line; nobody may be in `read_into`."""
+        """Close the line; no thread may be in `read_into`."""
 
 
 def open_line(url: str, config: LineConfig) -> Line:
@@ -269,7 +269,7 @@ def _group_hint(path: str) -> str:
 
 
 def _has_descriptor(port: Any) -> bool:
-    """Return whether a port reads from a descriptor, and nobody wants to see what."""
+    """Return whether pyserial itself reads the port from a descriptor; spy:// for one does not."""
     import serial  # noqa: PLC0415
 
     return sys.platform != "win32" and type(port).read is serial.Serial.read
@@ -324,13 +324,13 @@ def _claim(fd: int) -> None:
                 fcntl.ioctl(fd, termios.TIOCEXCL)
 
 
-# A read that gives so much is followed by another, up to so many bytes at a time: they
-# get one time of arrival, and so the sum is small against what anybody can tell apart.
+# A read that gives _MUCH bytes or more is followed by another, up to _BURST bytes in all. They
+# get one time of arrival.
 _MUCH: Final = 4000
 _BURST: Final = 1 << 16
 
-# Behind a read that gave so much there is mostly more by the time of the next: it is not
-# asked for first.
+# After a read that gave this many bytes there are mostly more by the next one. So that one reads
+# at once, and does not poll first.
 _SOME: Final = 1024
 
 # poll() takes no longer time, in milliseconds: an int of C.

@@ -44,7 +44,7 @@ class Rates(NamedTuple):
 class Meter:
     """Count what comes, and tell its rates over the last second.
 
-    `bitrate`: of the CAN bus in bit/s, None where nobody knows it. Times are seconds of any
+    `bitrate`: of the CAN bus in bit/s, None if it is unknown. Times are seconds of any
     clock that does not step.
     """
 

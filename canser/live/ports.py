@@ -139,9 +139,9 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
 class Port(Uncopied):
     """A live port, made by `open`; a context manager.
 
-    A thread drains the line into a ring of raw bytes; whoever reads decodes them, straight into
-    the array that is returned. Several threads may read: each frame goes to one of them.
-    Frames have host times, epoch nanoseconds of a clock that does not step: by the device
+    A thread drains the line into a ring of raw bytes. The thread that reads the port decodes them,
+    straight into the array that is returned. Several threads may read: each frame goes to one of
+    them. Frames have host times, epoch nanoseconds of a clock that does not step: by the device
     clock where the protocol has one, else when the last byte came. (Opened with
     `device_time` they have the times of the device's own clock.)
     """
@@ -253,7 +253,7 @@ class Port(Uncopied):
             finally:
                 self._reading.release()
         batch = room[:count]
-        # A batch that is far from full would hold memory that nobody uses.
+        # A batch that is far from full would hold memory that is not used.
         return copy_records(batch) if out is None and count < len(room) // 2 else batch
 
     def batches(
@@ -497,7 +497,7 @@ class Port(Uncopied):
                     f"{self.url} did not answer the status request within {timeout:g} s; "
                     "is it this kind of adapter?"
                 )
-            # Somebody else who reads finds the answer, too.
+            # Another thread that reads finds the answer, too.
             if self._take_turn(_sooner(deadline, _TURN_S)):
                 try:
                     self._read_ahead(_sooner(deadline, _TURN_S))
@@ -530,7 +530,7 @@ class Port(Uncopied):
             )
 
     def _take_turn(self, deadline: float | None) -> bool:
-        """Become the one who reads; False after the deadline."""
+        """Become the thread that reads; False after the deadline."""
         left = -1.0 if deadline is None else max(deadline - time.monotonic(), 0)
         return self._reading.acquire(timeout=left)
 
@@ -686,13 +686,13 @@ def _deadline(timeout: float | None) -> float | None:
 
 
 def _sooner(deadline: float | None, seconds: float) -> float:
-    """Return the deadline, or when so many seconds have passed, whatever is sooner."""
+    """Return the deadline, or the time in this many seconds, whichever is sooner."""
     soon = time.monotonic() + seconds
     return soon if deadline is None else min(deadline, soon)
 
 
 def _empty(items: deque[_T]) -> list[_T]:
-    """Take all there is, while somebody else may add to it."""
+    """Take all there is, while another thread may add to it."""
     taken = []
     with contextlib.suppress(IndexError):
         while True:
@@ -713,9 +713,12 @@ def host_clock() -> Callable[[], int]:
 class PortInfo(NamedTuple):
     """A serial port of this machine."""
 
-    url: str  # what `open` takes
-    name: str  # of the device, as it calls itself; "" where it does not
-    hardware: str  # USB ids and serial number, or what else the system knows; "" for nothing
+    #: What `open` takes.
+    url: str
+    #: Of the device, as it calls itself; "" where it does not.
+    name: str
+    #: USB ids and serial number, or what else the system knows; "" for nothing.
+    hardware: str
 
 
 def list_ports() -> list[PortInfo]:

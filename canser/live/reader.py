@@ -64,7 +64,7 @@ class LineReader:
         self._reconnect, self._heartbeat, self._heartbeat_s = reconnect, heartbeat, heartbeat_s
         self.last_heartbeat = 0  # when the last one went out on this line; 0: not yet
         self._line: Line | None = connect()  # None while it is away
-        # For who writes, and who changes the line. Reentrant, as a signal handler may close
+        # Held to write, and to change the line. Reentrant, as a signal handler may close
         # the port in the middle of a write.
         self._line_lock = threading.Condition()
         self._writing = threading.Lock()
@@ -143,7 +143,7 @@ class LineReader:
 
     def _write_some(self, data: memoryview, deadline: float | None) -> tuple[int, str]:
         left = _HOLD_S if deadline is None else min(deadline - time.monotonic(), _HOLD_S)
-        if self._closing.is_set():  # asked before the lock, which whoever closes waits for
+        if self._closing.is_set():  # asked before the lock, for which `close` waits
             return 0, self._why_no_line()
         with self._line_lock:
             if self._line is None:
@@ -164,7 +164,7 @@ class LineReader:
     def _run(self) -> None:
         try:
             self._keep_draining()
-        except Exception as error:  # noqa: BLE001 - whoever reads would wait for ever
+        except Exception as error:  # noqa: BLE001 - a reader would wait for ever
             self._ring.close(error)
         finally:
             if self._closing.is_set():

@@ -1,4 +1,4 @@
-"""A bounded ring of bytes between a port and who decodes them, with the times of arrival."""
+"""A bounded ring of bytes between a port and its decoder, with the times of arrival."""
 
 import os
 import threading
@@ -13,10 +13,14 @@ __all__ = ["Gap", "Read", "Ring", "holds"]
 class Gap(NamedTuple):
     """A place in a stream where bytes are missing."""
 
-    offset: int  # stream offset of the first byte behind it
-    lost: int  # bytes that are missing; -1 where nobody knows
-    ts: int  # epoch nanoseconds at which it began
-    reason: str  # "overflow", "reconnect" or "watchdog"
+    #: Stream offset of the first byte behind it.
+    offset: int
+    #: Bytes that are missing; -1: their number is unknown.
+    lost: int
+    #: When it began, in epoch nanoseconds.
+    ts: int
+    #: "overflow", "reconnect" or "watchdog".
+    reason: str
 
 
 class Read(NamedTuple):
@@ -54,10 +58,10 @@ class Ring:
         self._begin = 0  # offset of the oldest byte
         self._end = 0  # offset behind the newest
         self._reads: deque[Read] = deque()  # not handed out yet
-        self._gaps: deque[Gap] = deque()  # ahead of who empties it
+        self._gaps: deque[Gap] = deque()  # not reached yet by the thread that empties it
         self._full = False
         self._error: Exception | None = None
-        # Reentrant: a signal handler, or the end of a port that nobody holds, may come at any
+        # Reentrant: a signal handler, or the end of a port without references, may come at any
         # place of any thread, and close it.
         self._lock = threading.RLock()
         self._came = threading.Condition(self._lock)
@@ -204,7 +208,7 @@ class Ring:
             return self._signal[0]
 
     def hold_ready(self, held: bool) -> None:
-        """Keep that descriptor readable, for one who holds frames that he took."""
+        """Keep that descriptor readable, for a caller that holds frames it took."""
         with self._lock:
             self._held = held
             self._set_signal()

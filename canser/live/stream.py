@@ -39,7 +39,7 @@ _PATIENCE_PERIODS: Final = 2.5
 class LiveStream:
     """Decode what a ring holds. Not safe for two threads: its owner takes a lock.
 
-    `ping_s`: seconds between the pings that somebody sends; 0 for none. With `device_time`
+    `ping_s`: seconds between the pings of the watchdog; 0 for none. With `device_time`
     frames keep the times that they come with.
     """
 
@@ -88,7 +88,7 @@ class LiveStream:
         try:
             self._decode(room)
         except BaseException:
-            # It may have come behind the decoder's work, before anybody took note of it.
+            # It may have come behind the decoder's work, and before that was counted.
             self._ring.release_to(self.decoder.position)
             self._count(self.decoder.stats.frames - self._decoded)
             self._keep_controls()

@@ -37,12 +37,12 @@ _MEANINGLESS: Final = {"fd", "single_handle", "timeout"}
 # Frames taken from the port at a time.
 _BATCH: Final = 4096
 
-# Seconds in which a line must have sent what it took, when the bus is shut down.
+# How long `shutdown` waits for the line to send what it has taken.
 _DRAIN_S: Final = 1.0
 
-# Seconds from which on a time of a message is one of day, since 1970, and before which it is.
-_DAYS_FROM: Final = 1_000_000_000
-_DAYS_TO: Final = 1 << 32
+# Timestamps in this range are epoch seconds; smaller ones are device seconds.
+_EPOCH_FROM_S: Final = 1_000_000_000
+_EPOCH_TO_S: Final = 1 << 32
 
 _TICKS: Final = 1 << 32
 
@@ -63,8 +63,8 @@ class _Descriptor(int):
 class _UntilShutdown:
     """A bus for the threads that send periodically.
 
-    They are told to stop, and not waited for, before the port is closed: who is about to
-    send just then shall not fail.
+    They are told to stop before the port is closed, and not waited for. A thread that is about
+    to send just then must not fail.
     """
 
     def __init__(self, bus: can.BusABC) -> None:
@@ -162,8 +162,8 @@ class CanserBus(Uncopied, can.BusABC):
         self._rules: list[_Rule] = []
         self._queue: deque[Row] = deque()
         self._active_filters: object = None  # the filters that all in the queue have passed
-        self._watched = False  # somebody has the descriptor
-        self._lock = Lock()  # for the queue as a whole; not held while anybody waits
+        self._watched = False  # `fileno` has given the descriptor to a caller
+        self._lock = Lock()  # for the queue as a whole; not held during a wait
         try:
             super().__init__(channel, can_filters)
         except BaseException:
@@ -309,12 +309,12 @@ class CanserBus(Uncopied, can.BusABC):
 
     def _ticking(self, seconds: float) -> int:
         """Return the time of a message in nanoseconds, if the device's clock can show it."""
-        if not 0 <= seconds < _DAYS_TO:  # or it is NaN
+        if not 0 <= seconds < _EPOCH_TO_S:  # or it is NaN
             raise ValueError(
                 f"the timestamp {seconds} is out of range; it must be 0 or more, in seconds"
             )
         ns = round(seconds * 1e9)
-        if ns >= _TICKS * self._tick_ns and seconds < _DAYS_FROM:
+        if ns >= _TICKS * self._tick_ns and seconds < _EPOCH_FROM_S:
             raise ValueError(
                 f"the timestamp {seconds} is out of range: a clock in {self._unit} ends at "
                 f"{(_TICKS - 1) * self._tick_ns / 1e9:.15g} seconds; use a coarser ts_unit"
@@ -399,7 +399,7 @@ class CanserBus(Uncopied, can.BusABC):
 
     @staticmethod
     def _detect_available_configs() -> Sequence[AutoDetectedConfig]:
-        # Nobody can tell what an adapter speaks before it has spoken.
+        # What an adapter speaks is unknown before it has sent something.
         return [
             cast(
                 AutoDetectedConfig,

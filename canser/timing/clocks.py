@@ -23,10 +23,10 @@ estimate, and late frames do not matter to it:
   lowest difference (of equal ones the first counts as the lowest), because a false frame out of
   noise may be lower than all true ones. Differences over a minute from the bucket's median are
   false frames', and left out.
-- The *line* lies below the points of the last minutes. Its slope is the median of those between
-  points a quarter of the window apart: wherever the points jump, at most a third of these slopes
-  span the jump. Until there is half a minute of points, and as long as the slopes do not
-  agree, it is zero, or what it was before.
+- The *line* lies below the points of the last minutes. The slope is the median over pairs of
+  points a quarter window apart, so one jump of the clock touches at most a third of the pairs.
+  Until there is half a minute of points, and as long as the slopes do not agree, the slope is
+  zero, or what it was before.
 - The points start over when half a minute of them lies 20 ms above the line: the device's clock
   had stood still. And so they do at a *restart*: a bucket whose device times lie before those
   of the bucket before, or more than a minute off the line.
@@ -228,7 +228,7 @@ class _Bucket:
         """Take frames; return their device times as they lie here."""
         begin, self.count = self.count, self.count + len(device)
         if self.count > self._rows.shape[1]:
-            # In large steps: what nobody writes to is no memory yet, and copies are.
+            # In large steps: pages that are not written to take no memory, and copies do.
             rows = np.empty((3, 4 * self.count), np.int64)
             rows[:2, :begin] = self._rows[:2, :begin]
             self._rows = rows
