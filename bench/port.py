@@ -144,7 +144,10 @@ def load(protocol: str, span: float) -> tuple[float, float]:
         while time.monotonic() - begin < span:
             os.read(feeder.slave, 1 << 16)
         alone = (time.process_time() - used) / span
-    with fed(raw) as feeder, canser.open(feeder.url, protocol, baudrate=2_000_000) as port:
+    with (
+        fed(raw) as feeder,
+        canser.open(feeder.url, protocol, line=canser.LineConfig(baudrate=2_000_000)) as port,
+    ):
         feeder.start_pace()
         begin, used = time.monotonic(), time.process_time()
         while time.monotonic() - begin < span:

@@ -98,7 +98,9 @@ def soak(protocol: str, hours: float, times: int, folder: Path) -> list[str]:
     with (
         adapter(protocol, traffic, 2_000_000 * times) as url,
         closing(Recorder(str(folder / "run.pcapng"), info, size=FILE_SIZE, keep=KEEP)) as recorder,
-        canser.open(url, protocol, baudrate=2_000_000, tap=recorder.write) as port,
+        canser.open(
+            url, protocol, line=canser.LineConfig(baudrate=2_000_000), on_bytes=recorder.write
+        ) as port,
     ):
         recorder.start(time.time_ns())
         begin = time.monotonic()

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from canser._protocols import Protocol as Protocol
     from canser._protocols import protocol as protocol
     from canser._protocols import protocols as protocols
+    from canser.adapters import AdapterConfig as AdapterConfig
     from canser.adapters import AdapterReport as AdapterReport
     from canser.codec.decoder import Decoder as Decoder
     from canser.codec.decoder import Stats as Stats
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from canser.files.writing import Converted as Converted
     from canser.files.writing import convert as convert
     from canser.files.writing import write as write
+    from canser.live.config import LineConfig as LineConfig
     from canser.live.ports import Port as Port
     from canser.live.ports import PortInfo as PortInfo
     from canser.live.ports import list_ports as list_ports
@@ -87,7 +89,10 @@ _HOMES: Final = {
         "protocol",
         "protocols",
     ),
-    "canser.adapters": ("AdapterReport",),
+    "canser.adapters": (
+        "AdapterConfig",
+        "AdapterReport",
+    ),
     "canser.codec.decoder": (
         "Decoder",
         "Stats",
@@ -129,6 +134,7 @@ _HOMES: Final = {
         "convert",
         "write",
     ),
+    "canser.live.config": ("LineConfig",),
     "canser.live.ports": (
         "Port",
         "PortInfo",

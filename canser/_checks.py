@@ -6,9 +6,11 @@ import operator
 import reprlib
 import sys
 import threading
-from typing import Any
+from typing import Any, TypeVar
 
-__all__ = ["flag", "real", "text", "timeout", "whole"]
+__all__ = ["choice", "flag", "instance", "real", "text", "timeout", "whole"]
+
+_T = TypeVar("_T")
 
 
 def whole(value: Any, name: str, such_as: str, *, least: int | None = None) -> int:
@@ -60,6 +62,20 @@ def text(value: Any, name: str, such_as: str) -> str:
     """Return a string; TypeError for anything else."""
     if not isinstance(value, str):
         raise _wrong_type(value, name, f"a string, such as {such_as}")
+    return value
+
+
+def choice(value: Any, name: str, names: tuple[str, ...]) -> str:
+    """Return one of these names; ValueError for anything else."""
+    if not isinstance(value, str) or value not in names:
+        raise ValueError(f"unknown {name} {value!r}; have: {', '.join(names)}")
+    return value
+
+
+def instance(value: Any, name: str, kind: type[_T]) -> _T:
+    """Return an object of this class; TypeError for anything else."""
+    if not isinstance(value, kind):
+        raise _wrong_type(value, name, f"a canser.{kind.__name__}")
     return value
 
 

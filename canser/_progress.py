@@ -5,8 +5,8 @@ import time
 from types import TracebackType
 from typing import Any, Self
 
-# Work that is done by then shows no bar, in seconds.
-_PATIENCE = 0.5
+# Work that takes less time shows no bar.
+_PATIENCE_S = 0.5
 
 # A longer title would push the bar off the line.
 _TITLE_LEN = 30
@@ -39,7 +39,7 @@ class Progress:
 
     def __call__(self, done: int, total: int | None) -> None:
         """Show that `done` bytes are done, of `total`, or of nobody knows how many."""
-        if not self._on or time.monotonic() - self._begin < _PATIENCE:
+        if not self._on or time.monotonic() - self._begin < _PATIENCE_S:
             return
         if self._bar is None and self._shown < 0:
             self._start(total)

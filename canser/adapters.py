@@ -1,9 +1,10 @@
-"""What an adapter understands besides frames: its line, its configuration, its reports."""
+"""What an adapter understands besides frames: its configuration, and its reports."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
-from canser._checks import flag, whole
+from canser._checks import choice, flag, instance, whole
 from canser._core.buffers import BytesLike
 from canser._core.packets import Config, configure, explain
 from canser._core.table import MODE_NAMES, find_protocol
@@ -11,14 +12,10 @@ from canser._core.table import MODE_NAMES, find_protocol
 __all__ = [
     "FRAME_TYPES",
     "MODE_NAMES",
+    "AdapterConfig",
     "AdapterReport",
-    "baudrate",
-    "bitrates",
     "configuration",
-    "configures",
-    "ping",
     "report",
-    "status_request",
 ]
 
 # By whether extended frames are the only ones.
@@ -27,21 +24,84 @@ FRAME_TYPES: Final = ("all", "extended")
 _ID_MAX: Final = 0x1FFF_FFFF
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AdapterConfig:
+    """How an adapter is to work on the CAN bus. It is always set as a whole.
+
+    The values are checked here as far as no protocol is needed for it. `configuration`,
+    `canser.open` and `canser.Port.configure` check the bitrate against those of the protocol.
+
+    Attributes
+    ----------
+    bitrate : int
+        Of the CAN bus, in bit/s.
+    mode : str, default "normal"
+        "normal"; "loopback": the adapter receives what it sends itself; "silent": it listens
+        only, and acknowledges nothing; "loopback-silent": both.
+    frame_type : str, default "all"
+        The frames that the adapter passes on: "all" or "extended".
+    filter_id, filter_mask : int, default 0
+        The adapter passes on frames whose id equals `filter_id` in the bits that are 1 in
+        `filter_mask`. Both are 0 to 0x1fffffff; with a mask of 0 all frames pass.
+    once : bool, default False
+        Whether a frame without an acknowledgement is sent once, and not again.
+
+    Raises
+    ------
+    TypeError
+        For a value of another type.
+    ValueError
+        For an unknown name, or a number out of range.
+
+    Examples
+    --------
+    >>> canser.AdapterConfig(bitrate=500_000, mode="silent").mode
+    'silent'
+    """
+
+    bitrate: int
+    mode: str = "normal"
+    frame_type: str = "all"
+    filter_id: int = 0
+    filter_mask: int = 0
+    once: bool = False
+
+    def __post_init__(self) -> None:
+        # Plain ints and bools, whatever kind of integer was given.
+        put = partial(object.__setattr__, self)
+        put("bitrate", whole(self.bitrate, "bitrate", "500000", least=1))
+        choice(self.mode, "mode", MODE_NAMES)
+        choice(self.frame_type, "frame_type", FRAME_TYPES)
+        put("filter_id", _id(self.filter_id, "filter_id"))
+        put("filter_mask", _id(self.filter_mask, "filter_mask"))
+        put("once", flag(self.once, "once"))
+
+
 @dataclass(frozen=True, slots=True)
 class AdapterReport:
     """What a control packet says. A field that its kind does not have is None.
 
     The same bytes mean the same in both directions: a request for the status reads as a
     status without errors.
+
+    Attributes
+    ----------
+    kind : str
+        "ping", "status", "error", "configuration", or "other" for an unknown packet.
+    receive_errors, transmit_errors : int or None
+        Of a status: the adapter's error counters.
+    number : int or None
+        Of an error: what has happened, by the adapter's own numbers.
+    bitrate, mode, frame_type, filter_id, filter_mask, once
+        Of a configuration: as in `AdapterConfig`.
+    fixed : bool or None
+        Of a configuration: as `configuration` takes it.
     """
 
-    kind: str  # "ping", "status", "error", "configuration"; "other": nobody knows
-    # Of a status.
-    receive_errors: int | None = None  # the adapter's error counters
+    kind: str
+    receive_errors: int | None = None
     transmit_errors: int | None = None
-    # Of an error.
-    number: int | None = None  # what has happened, by the adapter's own numbers
-    # Of a configuration, as `configuration` takes them.
+    number: int | None = None
     bitrate: int | None = None
     mode: str | None = None
     frame_type: str | None = None
@@ -51,79 +111,75 @@ class AdapterReport:
     fixed: bool | None = None
 
 
-def baudrate(protocol: str) -> int:
-    """Return the rate of the serial line in bit/s that the adapters come with."""
-    return find_protocol(protocol).baudrate
-
-
-def bitrates(protocol: str) -> tuple[int, ...]:
-    """Return the rates of the bus in bit/s that an adapter can be configured to, or none."""
-    return find_protocol(protocol).bitrates
-
-
-def configures(protocol: str) -> bool:
-    """Return whether the protocol's adapters take a configuration."""
-    return bool(bitrates(protocol))
-
-
-def ping(protocol: str) -> bytes:
-    """Return the packet that an adapter sends straight back, b"" if there is none."""
-    return find_protocol(protocol).ping
-
-
-def status_request(protocol: str) -> bytes:
-    """Return the packet that an adapter answers with its status, b"" if there is none."""
-    return find_protocol(protocol).status_request
-
-
-def configuration(
-    protocol: str,
-    *,
-    bitrate: int = 500_000,
-    mode: str = "normal",
-    frame_type: str = "all",
-    filter_id: int = 0,
-    filter_mask: int = 0,
-    once: bool = False,
-    fixed: bool = False,
-) -> bytes:
+def configuration(protocol: str, config: AdapterConfig, *, fixed: bool = False) -> bytes:
     """Return the packet that configures an adapter.
 
-    `bitrate`: of the bus in bit/s, one of `bitrates`. `mode`: "normal"; "loopback", which
-    hears what it sends itself; "silent", which listens only and acknowledges nothing;
-    "loopback-silent", both. `frame_type`: the frames that are received, "all" or
-    "extended". `filter_id`, `filter_mask`: the id of those that pass, in the bits that are
-    1 in the mask; all pass with 0. `once`: a frame that nobody acknowledged is not sent
-    again. `fixed`: the adapter reports frames in packets of one length.
+    Parameters
+    ----------
+    protocol : str
+        A name of `canser.protocols()` or an accepted spelling.
+    config : AdapterConfig
+        How the adapter is to work.
+    fixed : bool, default False
+        Whether the adapter reports frames in packets of one length.
 
-    ValueError if the protocol has no configuration, or for a value that it does not know;
-    TypeError for one of another type.
+    Returns
+    -------
+    bytes
+        The packet, to be written to the adapter as it is.
+
+    Raises
+    ------
+    TypeError
+        For an argument of another type.
+    ValueError
+        If adapters of the protocol take no configuration, or not this bitrate.
+
+    Examples
+    --------
+    >>> adapters.configuration("seeed", AdapterConfig(bitrate=500_000)).hex(" ")
+    'aa 55 12 03 01 00 00 00 00 00 00 00 00 00 00 00 00 00 00 16'
     """
     row = find_protocol(protocol)
-    if not row.bitrates:
+    instance(config, "config", AdapterConfig)
+    if not row.configures:
         raise ValueError(f"{row.name} adapters take no configuration; leave bitrate out")
-    rate = whole(bitrate, "bitrate", "500000")
-    if rate not in row.bitrates:
+    if config.bitrate not in row.bitrates:
         have = ", ".join(map(str, row.bitrates))
-        raise ValueError(f"bitrate {rate} is none of the adapter's: {have}")
-    config = Config(
-        bitrate=rate,
-        filter_id=_id(filter_id, "filter_id"),
-        filter_mask=_id(filter_mask, "filter_mask"),
-        mode=_place(mode, "mode", MODE_NAMES),
-        ext_only=bool(_place(frame_type, "frame_type", FRAME_TYPES)),
-        once=flag(once, "once"),
+        raise ValueError(f"bitrate {config.bitrate} is none of the adapter's: {have}")
+    packed = Config(
+        bitrate=config.bitrate,
+        filter_id=config.filter_id,
+        filter_mask=config.filter_mask,
+        mode=MODE_NAMES.index(config.mode),
+        ext_only=bool(FRAME_TYPES.index(config.frame_type)),
+        once=config.once,
         fixed=flag(fixed, "fixed"),
     )
-    return configure(row, config)
+    return configure(row, packed)
 
 
 def report(protocol: str, data: BytesLike) -> AdapterReport:
     """Return what a control packet says.
 
-    `data`: the bytes of one, as `Decoder.take_controls` gives them. A configuration with
-    a value that nobody knows is of kind "other". ValueError for bytes that are no control
-    packet, or not one; TypeError, BufferError for data that is no contiguous buffer.
+    Parameters
+    ----------
+    protocol : str
+        A name of `canser.protocols()` or an accepted spelling.
+    data : bytes-like
+        One control packet, as `Decoder.take_controls` gives it.
+
+    Returns
+    -------
+    AdapterReport
+        Its kind and what it says. A configuration with an unknown value is of kind "other".
+
+    Raises
+    ------
+    TypeError, BufferError
+        For data that is no contiguous buffer.
+    ValueError
+        For an unknown protocol, or bytes that are not one control packet.
     """
     row = find_protocol(protocol)
     said = explain(row, data)
@@ -153,16 +209,8 @@ def report(protocol: str, data: BytesLike) -> AdapterReport:
     return AdapterReport(said.kind)
 
 
-def _place(name: str, what: str, names: tuple[str, ...]) -> int:
-    """Return the place of a name among those there are, or raise."""
-    try:
-        return names.index(name)
-    except ValueError:
-        raise ValueError(f"unknown {what} {name!r}; have: {', '.join(names)}") from None
-
-
 def _id(value: int, name: str) -> int:
-    """Return an id or its mask, or raise."""
+    """Return the id or the mask of a filter, or raise."""
     number = whole(value, name, "0x123")
     if not 0 <= number <= _ID_MAX:
         raise ValueError(f"{name} is {number:#x}; it must be 0 to {_ID_MAX:#x}")

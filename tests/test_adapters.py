@@ -4,9 +4,10 @@ import io
 import itertools
 import re
 import struct
-from dataclasses import FrozenInstanceError, asdict
+from dataclasses import FrozenInstanceError, asdict, replace
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 import canser
 import vectors
 from canser import adapters
-from canser.adapters import AdapterReport
+from canser.adapters import AdapterConfig, AdapterReport
 
 BITRATES = [1000 * kilo for kilo in (1000, 800, 500, 400, 250, 200, 125, 100, 50, 20, 10, 5)]
 MODES = ["normal", "loopback", "silent", "loopback-silent"]
@@ -53,6 +54,12 @@ PIECES = [
 ]
 
 
+def configuration(protocol: str, *, fixed: bool = False, **settings: Any) -> bytes:
+    """Return the packet that configures an adapter, by default to 500 kbit/s."""
+    config = AdapterConfig(**{"bitrate": 500_000, **settings})
+    return adapters.configuration(protocol, config, fixed=fixed)
+
+
 def control_of(raw: bytes, protocol: str) -> bytes:
     """Decode bytes that must be one control packet and nothing else; return it."""
     decoder = canser.Decoder(protocol)
@@ -64,21 +71,21 @@ def control_of(raw: bytes, protocol: str) -> bytes:
 
 
 def test_the_line() -> None:
-    rates = {protocol: adapters.baudrate(protocol) for protocol in canser.protocols()}
+    rates = {name: canser.protocol(name).baudrate for name in canser.protocols()}
     assert rates == {"cantalope": 115_200, "seeed": 2_000_000, "serial": 115_200}
-    assert adapters.baudrate("waveshare") == 2_000_000
+    assert canser.protocol("waveshare").baudrate == 2_000_000
 
 
 def test_who_takes_a_configuration() -> None:
-    taken = {protocol: adapters.bitrates(protocol) for protocol in canser.protocols()}
+    taken = {name: canser.protocol(name).bitrates for name in canser.protocols()}
     assert taken == {"cantalope": (), "seeed": tuple(BITRATES), "serial": ()}
-    assert [name for name in taken if adapters.configures(name)] == ["seeed"]
+    assert [name for name in taken if canser.protocol(name).configures] == ["seeed"]
 
 
 def test_a_real_trace() -> None:
     # python-can asks for no retransmission.
     trace = bytes.fromhex("AA 55 12 03 01 00 00 00 00 00 00 00 00 00 01 00 00 00 00 17")
-    assert adapters.configuration("seeed", once=True) == trace
+    assert configuration("seeed", once=True) == trace
     assert adapters.report("seeed", trace) == AdapterReport(
         "configuration",
         bitrate=500_000,
@@ -102,7 +109,7 @@ def test_all_fields_of_a_configuration() -> None:
         "once": False,
         "fixed": True,
     }
-    assert adapters.configuration("waveshare", **settings) == raw
+    assert configuration("waveshare", **settings) == raw
     assert adapters.report("waveshare", raw) == AdapterReport("configuration", **settings)
 
 
@@ -120,7 +127,7 @@ def test_control_packets_of_the_vectors(protocol: str) -> None:
 
 @given(SETTINGS)
 def test_a_configuration_says_what_was_asked_for(settings: dict[str, Any]) -> None:
-    raw = adapters.configuration("seeed", **settings)
+    raw = configuration("seeed", **settings)
     assert raw == fixed_packet(
         0x02 if settings["fixed"] else 0x12,
         BITRATES.index(settings["bitrate"]) + 1,
@@ -144,7 +151,7 @@ def test_python_can_sends_the_same() -> None:
         bus.bit_rate, bus.op_mode, bus.frame_type = bitrate, mode, frame_type
         bus.ser = io.BytesIO()
         bus.init_frame()
-        ours = adapters.configuration(
+        ours = configuration(
             "seeed",
             bitrate=bitrate,
             mode=modes[mode],
@@ -154,11 +161,11 @@ def test_python_can_sends_the_same() -> None:
         assert bus.ser.getvalue() == ours
     bus.ser = io.BytesIO()
     bus.status_frame()
-    assert bus.ser.getvalue() == adapters.status_request("seeed")
+    assert bus.ser.getvalue() == canser.protocol("seeed").status_request
 
 
-def test_by_default_all_frames_at_500k() -> None:
-    assert adapters.configuration("seeed") == fixed_packet(0x12, 3, 1)
+def test_by_default_all_frames_pass() -> None:
+    assert configuration("seeed") == fixed_packet(0x12, 3, 1)
 
 
 @pytest.mark.parametrize("place", range(2, 19))
@@ -202,8 +209,9 @@ def test_all_bits_of_a_filter_are_told() -> None:
             "bitrate 123456 is none of the adapter's: 1000000, 800000, 500000, 400000, 250000, "
             "200000, 125000, 100000, 50000, 20000, 10000, 5000",
         ),
-        ({"bitrate": 0}, "bitrate 0 is none of the adapter's: 1000000, "),
-        ({"bitrate": -1}, "bitrate -1 is none of the adapter's: 1000000, "),
+        ({"bitrate": 1}, "bitrate 1 is none of the adapter's: 1000000, "),
+        ({"bitrate": 0}, "bitrate is 0; it must be 1 or more"),
+        ({"bitrate": -1}, "bitrate is -1; it must be 1 or more"),
         ({"bitrate": 1 << 32 | 500_000}, "bitrate 4295467296 is none of the adapter's: "),
         ({"mode": "listen"}, "unknown mode 'listen'; have: normal, loopback, silent, loopback-si"),
         ({"mode": ["normal"]}, "unknown mode ['normal']; have: normal, "),
@@ -215,7 +223,7 @@ def test_all_bits_of_a_filter_are_told() -> None:
 )
 def test_values_out_of_range_say_what_there_is(settings: dict[str, Any], problem: str) -> None:
     with pytest.raises(ValueError, match=f"^{re.escape(problem)}.*\\Z"):
-        adapters.configuration("seeed", **settings)
+        configuration("seeed", **settings)
 
 
 @pytest.mark.parametrize("name", ["bitrate", "filter_id", "filter_mask"])
@@ -223,27 +231,46 @@ def test_values_out_of_range_say_what_there_is(settings: dict[str, Any], problem
 def test_numbers_are_whole_numbers(name: str, value: object) -> None:
     settings: dict[str, Any] = {name: value}
     with pytest.raises(TypeError, match="integer"):
-        adapters.configuration("seeed", **settings)
+        configuration("seeed", **settings)
+
+
+def test_a_config_is_checked_when_it_is_made_and_stays() -> None:
+    config = AdapterConfig(bitrate=np.int32(500_000), filter_id=np.uint8(7), once=np.True_)  # type: ignore[arg-type]
+    assert config == AdapterConfig(bitrate=500_000, filter_id=7, once=True)
+    assert [type(value) for value in (config.bitrate, config.filter_id, config.once)] == [
+        int,
+        int,
+        bool,
+    ]
+    with pytest.raises(FrozenInstanceError):
+        config.mode = "silent"  # type: ignore[misc]
+    with pytest.raises(ValueError, match="unknown mode 'silence'; have: normal, loopback, silent"):
+        replace(config, mode="silence")
+    with pytest.raises(TypeError, match="bitrate"):  # the adapter is always set as a whole
+        AdapterConfig(mode="silent")  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match=r"^config is 500000; it must be a canser.AdapterConfig$"):
+        adapters.configuration("seeed", 500_000)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("protocol", ["cantalope", "serial"])
 def test_no_configuration(protocol: str) -> None:
     problem = f"{protocol} adapters take no configuration; leave bitrate out"
     with pytest.raises(ValueError, match=f"^{problem}$"):
-        adapters.configuration(protocol)
+        configuration(protocol)
 
 
 def test_ping() -> None:
-    assert adapters.ping("cantalope") == b"\xff\xff\0"
-    assert adapters.ping("seeed") == adapters.ping("serial") == b""
-    control = control_of(adapters.ping("cantalope"), "cantalope")
+    pings = {name: canser.protocol(name).ping for name in canser.protocols()}
+    assert pings == {"cantalope": b"\xff\xff\0", "seeed": b"", "serial": b""}
+    control = control_of(pings["cantalope"], "cantalope")
     assert adapters.report("cantalope", control) == AdapterReport("ping")
 
 
 def test_status_request() -> None:
-    request = adapters.status_request("seeed")
+    requests = {name: canser.protocol(name).status_request for name in canser.protocols()}
+    request = requests["seeed"]
     assert request == bytes.fromhex("AA 55 04") + bytes(16) + b"\x04"
-    assert adapters.status_request("cantalope") == adapters.status_request("serial") == b""
+    assert requests["cantalope"] == requests["serial"] == b""
     report = adapters.report("seeed", control_of(request, "seeed"))
     assert report == AdapterReport("status", receive_errors=0, transmit_errors=0)
 
@@ -315,12 +342,8 @@ def test_a_report_is_frozen() -> None:
 
 def test_unknown_protocols() -> None:
     for call in (
-        adapters.baudrate,
-        adapters.bitrates,
-        adapters.configures,
-        adapters.ping,
-        adapters.status_request,
-        adapters.configuration,
+        canser.protocol,
+        configuration,
         lambda name: adapters.report(name, b""),
     ):
         with pytest.raises(ValueError, match="unknown protocol 'foo'; have: cantalope, seeed, ser"):

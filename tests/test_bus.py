@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -568,6 +569,20 @@ def test_what_means_nothing_is_told_in_the_log(caplog: pytest.LogCaptureFixture)
             assert not caplog.records
         with CanserBus("loop://", protocol="serial", rtscts=True):
             assert ["rtscts" in record.message for record in caplog.records] == [True]
+
+
+def test_the_fields_of_both_configs_are_options(caplog: pytest.LogCaptureFixture) -> None:
+    config = canser.AdapterConfig(bitrate=250_000, mode="silent")
+    line = canser.LineConfig(baudrate=9600, ring_size=1 << 20)
+    with (
+        caplog.at_level(logging.WARNING),
+        Device() as device,
+        CanserBus(device.url, protocol="seeed", **asdict(config), **asdict(line)) as bus,
+    ):
+        assert device.read(20) == canser.adapters.configuration("seeed", config)
+        assert bus.state is can.BusState.PASSIVE
+        assert bus.port.baudrate == 9600
+    assert not caplog.records
 
 
 def test_an_unplugged_adapter_is_an_error_behind_its_last_frame(

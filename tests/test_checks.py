@@ -3,6 +3,7 @@
 import math
 import sys
 from collections.abc import Callable
+from dataclasses import fields
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
@@ -14,6 +15,8 @@ import pytest
 import canser
 from canser import adapters
 from canser._checks import flag, real, timeout, whole
+from canser.adapters import AdapterConfig
+from canser.live.config import LineConfig
 from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import vehicle
 
@@ -98,15 +101,32 @@ SETTINGS: dict[str, list[Any]] = {
 OPEN = SETTINGS | {
     "baudrate": ["fast", 1.5, True, 115_200.0, math.nan, 0, -1],
     "ring_size": [*NOT_WHOLE, 0, 10**15, 10**30],
+    "dtr": ["high", True, None, 1],
+    "rts": ["low", False, None, 0],
     "ping": ["x", True, math.nan, math.inf, 0, -1],
     "ts_unit": [5, None, "h"],
     "device_time": NOT_FLAGS,
     "flush": NOT_FLAGS,
     "reconnect": NOT_FLAGS,
-    "tap": [5, "x"],
+    "on_bytes": [5, "x"],
     "url": [5, None, b"/dev/x", Path("/dev/x")],
     "protocol": [5, None, "foo"],
+    "config": [5, 500_000, "silent", {}],
+    "line": [5, 115_200, "off", {}],
 }
+
+
+# The value objects of `open`, by the argument that takes one.
+OBJECTS: dict[str, type[Any]] = {"config": AdapterConfig, "line": LineConfig}
+
+
+def opened(**options: Any) -> canser.Port:
+    """Open a port; options that are fields of a value object go there."""
+    for argument, kind in OBJECTS.items():
+        found = {field.name for field in fields(kind)} & options.keys()
+        if found - {"bitrate"}:
+            options[argument] = kind(**{name: options.pop(name) for name in found})
+    return canser.open(**options)
 
 
 def table(wrong: dict[str, list[Any]]) -> list[tuple[str, Any]]:
@@ -120,14 +140,14 @@ def test_open(name: str, value: object) -> None:
         good["bitrate"] = 500_000
     if name == "ping":
         good["protocol"] = "cantalope"
-    names(canser.open, name, value, **{key: good[key] for key in good if key != name})
+    names(opened, name, value, **{key: good[key] for key in good if key != name})
 
 
 # What a bus has, too; None is its default for two of them.
 BUS = [
     (name, value)
     for name, value in table(OPEN)
-    if name not in ("ring_size", "flush", "tap")
+    if name not in ("on_bytes", "config", "line")
     and not (value is None and name in ("device_time", "protocol"))
 ]
 
@@ -150,7 +170,13 @@ def test_the_bus(name: str, value: object) -> None:
     ("name", "value"), table(SETTINGS | {"bitrate": NOT_WHOLE, "fixed": NOT_FLAGS}), ids=str
 )
 def test_a_configuration(name: str, value: object) -> None:
-    names(lambda **more: adapters.configuration("seeed", **more), name, value)
+    config = {"bitrate": 500_000}
+
+    def make(**given: Any) -> bytes:
+        fixed = given.pop("fixed", False)
+        return adapters.configuration("seeed", AdapterConfig(**config | given), fixed=fixed)
+
+    names(make, name, value)
 
 
 CALLS: dict[str, dict[str, list[Any]]] = {
@@ -164,7 +190,7 @@ CALLS: dict[str, dict[str, list[Any]]] = {
     "send_raw": {"timeout": ["x", True, math.nan]},
     "drain": {"timeout": ["x", True, math.nan]},
     "request_status": {"timeout": ["x", True, math.nan]},
-    "configure": {**SETTINGS, "bitrate": NOT_WHOLE},
+    "configure": {"bitrate": NOT_WHOLE[:-3], "config": [5, 500_000, "silent", {}]},
 }
 
 
@@ -175,11 +201,10 @@ CALLS: dict[str, dict[str, list[Any]]] = {
 )
 def test_a_port(call: str, name: str, value: object) -> None:
     first: dict[str, tuple[Any, ...]] = {"send": (vehicle(0.01),), "send_raw": (b"x",)}
-    more: dict[str, Any] = {"bitrate": 500_000} if call == "configure" else {}
     with canser.open("loop://", "seeed") as port:
 
         def run(**options: Any) -> None:
-            result = getattr(port, call)(*first.get(call, ()), **more | options)
+            result = getattr(port, call)(*first.get(call, ()), **options)
             if call == "batches":
                 next(result)
 

@@ -654,7 +654,7 @@ PLAIN = 'import sys; sys.modules["rich"] = None'
 RICH = "import sys"
 AT_ONCE = """
 import canser._progress
-canser._progress._PATIENCE = 0
+canser._progress._PATIENCE_S = 0
 from canser.commands.cli import main
 sys.exit(main(sys.argv[1:]))
 """

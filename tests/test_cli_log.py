@@ -735,6 +735,7 @@ def test_a_port_in_use(tmp_path: Path) -> None:
         (["run.pcapng", "--adapter-filter", "123"], "write ID:MASK"),
         (["run.pcapng", "--baudrate", "0"], "1 or more"),
         (["run.pcapng", "--ping", "1s"], "know no ping"),
+        (["run.pcapng", "--dtr", "off"], "has no modem lines"),
         (["run.pcapng", "-c", "/dev/nothing"], "there is no port"),
         (["there.pcapng", "--force", "-c", "/dev/nothing"], "there is no port"),
         (["run.pcapng", "-c", "ftp://x"], "cannot open"),

@@ -195,7 +195,7 @@ def test_errors_of_writing_name_the_port_once(monkeypatch: pytest.MonkeyPatch) -
                 port.send(traffic(1))
         assert str(caught.value).startswith(f"{device.url}: Cannot allocate memory; 0 of ")
         device.unplug()
-        until(lambda: port._link._line is None)
+        until(lambda: port._reader._line is None)
         with pytest.raises(canser.SendError, match=f"^{device.url}: the device is gone; 0 of "):
             port.send(traffic(1))
         calls: list[Callable[[], int]] = [port.drain, lambda: port.bytes_unsent]
@@ -248,11 +248,11 @@ def test_a_device_that_comes_back_goes_on_behind_a_marked_gap(tmp_path: Path) ->
     raw = canser.encode(frames, "seeed")
     seen: list[tuple[bytes, int]] = []
 
-    def tap(data: memoryview, _: int, lost: int) -> None:
+    def on_bytes(data: memoryview, _: int, lost: int) -> None:
         seen.append((bytes(data), lost))
 
     before = time.time_ns()
-    with replugged(tmp_path, tap=tap) as (device, port, replug):
+    with replugged(tmp_path, on_bytes=on_bytes) as (device, port, replug):
         device.feed(raw + raw[:5])  # the first half of a frame, of which the rest is lost
         until(lambda: waiting(port) == len(raw) + 5)
         new = replug()
@@ -275,7 +275,7 @@ def test_a_packet_does_not_go_on_on_another_line(tmp_path: Path) -> None:
     with replugged(tmp_path) as (_, port, replug):
         with pytest.raises(canser.SendError):
             port.send(frames, timeout=0.05)  # in the middle of a frame, as a rule
-        port._link._rest = memoryview(b"the rest")  # and here for sure
+        port._reader._rest = memoryview(b"the rest")  # and here for sure
         new = replug()
         until(lambda: port.take_gaps() or not len(port.read_batch(timeout=0)))
         mark = array(Frame(0x7E5, dlc=1, data=b"\x55".ljust(8, b"\0")))
@@ -292,13 +292,13 @@ def test_a_packet_does_not_go_on_on_another_line(tmp_path: Path) -> None:
 
 
 def test_a_device_that_comes_back_is_configured_again(tmp_path: Path) -> None:
-    first = canser.adapters.configuration("seeed", bitrate=250_000)
-    second = canser.adapters.configuration("seeed", bitrate=125_000)
+    first = canser.adapters.configuration("seeed", canser.AdapterConfig(bitrate=250_000))
+    second = canser.adapters.configuration("seeed", canser.AdapterConfig(bitrate=125_000))
     with replugged(tmp_path, bitrate=250_000) as (device, port, replug):
         assert device.read(20) == first
         new = replug()
         assert new.read(20) == first
-        until(lambda: port._link._line is not None)
+        until(lambda: port._reader._line is not None)
         port.configure(bitrate=125_000)
         assert new.read(20) == second
         assert replug().read(20) == second
@@ -308,7 +308,7 @@ def test_a_port_may_be_closed_while_its_device_is_away() -> None:
     with plugged(reconnect=True) as (device, port):
         reader = Background(port.read_batch)
         device.unplug()
-        until(lambda: port._link._line is None)
+        until(lambda: port._reader._line is None)
         with pytest.raises(canser.SendError, match="the device is gone"):
             port.send(traffic(1))
         with pytest.raises(canser.PortGoneError, match="the device is gone"):
@@ -326,7 +326,7 @@ def test_a_device_that_comes_back_as_something_else_is_an_error(
         def connect() -> None:
             raise RuntimeError("not what anybody expected")
 
-        monkeypatch.setattr(port._link, "_connect", connect)
+        monkeypatch.setattr(port._reader, "_connect", connect)
         device.unplug()
         with pytest.raises(canser.PortError, match="not what anybody expected"):
             port.read_batch()
@@ -393,7 +393,7 @@ def test_a_busy_port() -> None:
         inside = descriptors()
         for flush in (False, True):
             with pytest.raises(canser.PortBusyError, match="is open in another program"):
-                canser.open(device.url, "seeed", flush=flush)
+                canser.open(device.url, "seeed", line=canser.LineConfig(flush=flush))
         assert descriptors() == inside
         assert content(collect(port, len(frames))) == content(frames)
     assert descriptors() == before
@@ -496,7 +496,9 @@ def test_a_longer_stall_is_counted_to_the_byte() -> None:
     raw = canser.encode(frames, "seeed")
     size = 1 << 16
     kept = bytearray()
-    with plugged(ring_size=size, tap=lambda data, *_: kept.extend(data)) as (device, port):
+    with plugged(
+        line=canser.LineConfig(ring_size=size), on_bytes=lambda data, *_: kept.extend(data)
+    ) as (device, port):
         device.feed(raw)
         device.fed()
         until(lambda: waiting(port) + port.bytes_lost == len(raw))
@@ -520,7 +522,7 @@ def test_a_ring_that_was_just_full_and_is_read_loses_nothing() -> None:
     size = 1 << 16
     frames = traffic(60)
     raw = canser.encode(frames, "seeed")
-    with plugged(ring_size=size) as (device, port):
+    with plugged(line=canser.LineConfig(ring_size=size)) as (device, port):
         device.feed(raw[:size])
         until(lambda: waiting(port) == size)
         until(lambda: port._ring.room() is None)
@@ -675,7 +677,10 @@ class Answering:
 def test_a_ping_that_comes_back() -> None:
     frames = traffic(1, "cantalope")
     # So seldom that no machine is too busy to answer in time.
-    with plugged("cantalope", ping=1) as (device, port), Answering(device) as far:
+    with (
+        plugged("cantalope", line=canser.LineConfig(ping=1)) as (device, port),
+        Answering(device) as far,
+    ):
         device.feed(canser.encode(frames, "cantalope"))
         assert content(collect(port, len(frames))) == content(frames)
         until(lambda: len(port.read_batch(timeout=0.001)) or port.stats.controls == 2)
@@ -687,7 +692,7 @@ def test_a_ping_that_comes_back() -> None:
 def test_pings_go_out_between_frames_and_never_within() -> None:
     frames = np.tile(traffic(1, "cantalope"), 5)
     raw = canser.encode(frames, "cantalope")
-    with plugged("cantalope", ping=0.001) as (device, port):
+    with plugged("cantalope", line=canser.LineConfig(ping=0.001)) as (device, port):
 
         def send() -> None:
             for start in range(0, len(frames), 100):
@@ -707,7 +712,7 @@ def test_pings_go_out_between_frames_and_never_within() -> None:
 def test_a_ping_that_does_not_come_back() -> None:
     with (
         warnings.catch_warnings(record=True) as caught,
-        plugged("cantalope", ping=0.01) as (device, port),
+        plugged("cantalope", line=canser.LineConfig(ping=0.01)) as (device, port),
         Answering(device, answering=False) as far,
     ):
         warnings.simplefilter("always")
@@ -733,7 +738,7 @@ def test_a_ping_that_does_not_come_back() -> None:
 @pytest.mark.filterwarnings("ignore::canser.CanserWarning")
 def test_a_stream_out_of_step_finds_the_place_at_the_ping() -> None:
     """The rest of a frame is lost, and so it would eat what follows."""
-    with plugged("cantalope", ping=0.01) as (device, port):
+    with plugged("cantalope", line=canser.LineConfig(ping=0.01)) as (device, port):
         # Eight bytes are said to follow, and two do.
         device.feed(b"\x00\x28" + b"\x11\x22")
         until(lambda: len(port.read_batch(timeout=0.01)) or port.take_gaps())
@@ -744,7 +749,7 @@ def test_a_stream_out_of_step_finds_the_place_at_the_ping() -> None:
 
 
 def test_a_device_that_is_away_has_no_lost_ping(tmp_path: Path) -> None:
-    with replugged(tmp_path, "cantalope", ping=1) as (device, port, replug):
+    with replugged(tmp_path, "cantalope", line=canser.LineConfig(ping=1)) as (device, port, replug):
         with Answering(device) as far:
             until(lambda: len(port.read_batch(timeout=0.001)) or port.stats.controls)
             assert far.pings
@@ -754,7 +759,7 @@ def test_a_device_that_is_away_has_no_lost_ping(tmp_path: Path) -> None:
         device.unplug()
         until(lambda: port._ring.at_gap)
         port.read_batch(timeout=0)
-        port._stream.watch(time.time_ns() + 10**12, port._link.last_beat)  # long ago
+        port._stream.watch(time.time_ns() + 10**12, port._reader.last_heartbeat)  # long ago
         assert [gap.reason for gap in port.take_gaps()] == ["reconnect"]
         port_path.symlink_to(target)
         new = replug()
@@ -769,7 +774,7 @@ def test_a_reader_that_is_never_idle_sees_a_lost_ping() -> None:
     """Frames come all the time, and so nobody ever waits."""
     frames = traffic(1, "cantalope")
     raw = canser.encode(frames, "cantalope")
-    with plugged("cantalope", ping=0.01) as (device, port):
+    with plugged("cantalope", line=canser.LineConfig(ping=0.01)) as (device, port):
         out = np.empty(50, FRAME_DTYPE)
         device.feed(raw)
 

@@ -11,13 +11,17 @@ import sys
 import termios
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import FrozenInstanceError
+from fractions import Fraction
 from typing import Any, Self
 
+import numpy as np
 import pytest
 import serial
 import serial.rfc2217
 
 from canser.errors import PortBusyError, PortError, PortGoneError, PortNotFoundError
+from canser.live.config import LineConfig
 from canser.live.line import Line, open_line
 from device import PATIENCE, Device, descriptors, until
 
@@ -45,7 +49,7 @@ def write(line: Line, data: bytes) -> None:
 
 @contextlib.contextmanager
 def opened(url: str, **options: Any) -> Iterator[Line]:
-    line = open_line(url, 115_200, **options)
+    line = open_line(url, LineConfig(baudrate=115_200, **options))
     try:
         yield line
     finally:
@@ -165,7 +169,7 @@ def test_a_driver_that_keeps_changing_bytes_is_an_error(monkeypatch: pytest.Monk
         Device(cooked=True) as device,
         pytest.raises(PortError, match=f"{device.url} changes bytes on their way"),
     ):
-        open_line(device.url, 115_200)
+        open_line(device.url, LineConfig(baudrate=115_200))
 
 
 def test_a_socket_passes_every_byte() -> None:
@@ -322,11 +326,118 @@ def test_a_second_open_is_refused_and_harms_nothing() -> None:
         device.feed(b"first's")
         device.fed()
         with pytest.raises(PortBusyError, match="open in another program; close it there"):
-            open_line(device.url, 9600)
+            open_line(device.url, LineConfig(baudrate=9600))
         assert read(line, 7) == b"first's"
     with Device() as device:
-        open_line(device.url, 115_200).close()
-        open_line(device.url, 115_200).close()
+        open_line(device.url, LineConfig(baudrate=115_200)).close()
+        open_line(device.url, LineConfig(baudrate=115_200)).close()
+
+
+# What pyserial asks the system for, to switch modem lines on and off.
+SWITCHES = {
+    (termios.TIOCMBIS, termios.TIOCM_DTR): "dtr on",
+    (termios.TIOCMBIC, termios.TIOCM_DTR): "dtr off",
+    (termios.TIOCMBIS, termios.TIOCM_RTS): "rts on",
+    (termios.TIOCMBIC, termios.TIOCM_RTS): "rts off",
+}
+
+
+@pytest.mark.parametrize(
+    ("options", "switched"),
+    [
+        ({}, ["dtr on", "rts on"]),  # as opening does
+        ({"dtr": "off"}, ["dtr off", "rts on"]),
+        ({"rts": "off"}, ["dtr on", "rts off"]),
+        ({"dtr": "off", "rts": "off"}, ["dtr off", "rts off"]),
+        ({"dtr": "on", "rts": "on"}, ["dtr on", "rts on"]),
+    ],
+    ids=str,
+)
+def test_modem_lines_have_one_level_from_the_first_moment(
+    monkeypatch: pytest.MonkeyPatch, options: dict[str, str], switched: list[str]
+) -> None:
+    """A pseudo terminal takes the part of a serial device, whose driver knows modem lines."""
+    seen: list[str] = []
+    ioctl = fcntl.ioctl
+
+    def driver(fd: int, request: int, *rest: Any) -> Any:
+        if request not in (termios.TIOCMBIS, termios.TIOCMBIC):
+            return ioctl(fd, request, *rest)
+        seen.append(SWITCHES[request, int.from_bytes(rest[0], sys.byteorder)])
+        return 0
+
+    with Device() as device:
+        monkeypatch.setattr(fcntl, "ioctl", driver)
+        with opened(device.url, **options):
+            assert set(seen) == set(switched)
+
+
+@pytest.mark.parametrize("name", ["dtr", "rts"])
+@pytest.mark.parametrize("level", ["on", "off"])
+def test_modem_lines_that_are_not_there(name: str, level: str) -> None:
+    before = descriptors()
+    with Device() as device:
+        why = f"^{device.url} has no modem lines .*, so {name} cannot be set; leave {name} out$"
+        with pytest.raises(ValueError, match=why):
+            open_line(device.url, LineConfig(baudrate=115_200, **{name: level}))  # type: ignore[arg-type]
+        with opened(device.url, **{name: "leave"}):
+            pass
+    why = f"^socket://127.0.0.1:1 carries no modem lines, so {name} cannot be set; use rfc2217://"
+    with pytest.raises(ValueError, match=why):  # before it is looked for
+        open_line("socket://127.0.0.1:1", LineConfig(baudrate=115_200, **{name: level}))  # type: ignore[arg-type]
+    assert descriptors() == before
+
+
+@old_threads
+def test_modem_lines_over_rfc2217() -> None:
+    with TelnetServer() as server, opened(server.url, dtr="off", rts="on"):
+        port = server.manager.serial
+        until(lambda: (port.dtr, port.rts) == (False, True))
+
+
+def test_an_error_of_a_modem_line_closes_the_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    ioctl = fcntl.ioctl
+
+    def driver(fd: int, request: int, *rest: Any) -> Any:
+        if request == termios.TIOCMBIC:
+            raise OSError(errno.EINVAL if not seen else errno.EIO, "no")
+        return ioctl(fd, request, *rest)
+
+    before = descriptors()
+    with Device() as device:
+        seen = True
+        monkeypatch.setattr(fcntl, "ioctl", driver)
+        with pytest.raises(PortNotFoundError, match=f"there is no port {device.url}"):
+            open_line(device.url, LineConfig(baudrate=115_200, dtr="off"))
+        seen = False
+        with pytest.raises(ValueError, match="has no modem lines"):
+            open_line(device.url, LineConfig(baudrate=115_200, dtr="off"))
+    assert descriptors() == before
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"dtr": "up"}, "unknown dtr 'up'; have: leave, on, off"),
+        ({"rts": True}, "unknown rts True; have: leave, on, off"),
+        ({"baudrate": 0}, "baudrate is 0; it must be 1 or more"),
+        ({"ring_size": 1000}, "ring_size is 1000; it must be 65536 or more"),
+        ({"ping": 0}, "ping is 0; it must be more than 0 seconds, and not infinite"),
+        ({"ping": float("nan")}, "ping is nan"),
+    ],
+)
+def test_a_line_config_is_checked_when_it_is_made(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
+        LineConfig(**options)
+
+
+def test_a_line_config_holds_plain_values_and_stays() -> None:
+    config = LineConfig(baudrate=np.int32(9600), flush=np.True_, ping=Fraction(1, 2))  # type: ignore[arg-type]
+    assert config == LineConfig(baudrate=9600, flush=True, ping=0.5)
+    kinds = [type(value) for value in (config.baudrate, config.flush, config.ping)]
+    assert kinds == [int, bool, float]
+    with pytest.raises(FrozenInstanceError):
+        config.flush = False  # type: ignore[misc]
 
 
 @pytest.mark.parametrize(
@@ -347,7 +458,7 @@ def test_a_second_open_is_refused_and_harms_nothing() -> None:
 )
 def test_what_cannot_be_opened(url: str, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message) as caught:
-        open_line(url, 115_200)
+        open_line(url, LineConfig(baudrate=115_200))
     assert "\n" not in str(caught.value)
 
 
@@ -384,7 +495,7 @@ def test_what_cannot_be_opened(url: str, error: type[Exception], message: str) -
 def test_every_error_of_opening_names_the_url(url: str, error: type[Exception]) -> None:
     before = descriptors()
     with pytest.raises(error) as caught:
-        open_line(url, 115_200)
+        open_line(url, LineConfig(baudrate=115_200))
     text = str(caught.value)
     assert url in text or repr(url) in text
     assert "\n" not in text
@@ -395,7 +506,7 @@ def test_every_error_of_opening_names_the_url(url: str, error: type[Exception]) 
 
 def test_an_empty_url() -> None:
     with pytest.raises(PortNotFoundError, match="url is empty"):
-        open_line("", 115_200)
+        open_line("", LineConfig(baudrate=115_200))
 
 
 def test_without_a_free_descriptor_the_line_is_closed_again(
@@ -410,7 +521,7 @@ def test_without_a_free_descriptor_the_line_is_closed_again(
             patched.setattr(os, "pipe", fail)
             for url in (device.url, server.url):
                 with pytest.raises(PortError, match=f"{url}: Too many open files; .*ulimit -n"):
-                    open_line(url, 115_200)
+                    open_line(url, LineConfig(baudrate=115_200))
         # The server's own end may be there still, or not yet.
         server.hang_up()
         until(lambda: descriptors() <= before)
@@ -439,7 +550,7 @@ def test_an_error_of_the_system_names_the_url(monkeypatch: pytest.MonkeyPatch) -
 
 def test_a_rate_that_makes_no_sense() -> None:
     with Device() as device, pytest.raises(ValueError, match="baud"):
-        open_line(device.url, 2**40)
+        open_line(device.url, LineConfig(baudrate=2**40))
 
 
 def test_a_port_that_vanishes_while_it_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -452,14 +563,14 @@ def test_a_port_that_vanishes_while_it_is_opened(monkeypatch: pytest.MonkeyPatch
         before = descriptors()
         monkeypatch.setattr("canser.live.line._make_raw", vanish)
         with pytest.raises(PortNotFoundError, match=f"there is no port {device.url}"):
-            open_line(device.url, 115_200)
+            open_line(device.url, LineConfig(baudrate=115_200))
         assert descriptors() == before
 
 
 def test_a_program_that_is_killed_leaves_the_port_free() -> None:
     program = (
-        "import sys; from canser.live.line import open_line\n"
-        "line = open_line(sys.argv[1], 115200); print('open', flush=True)\n"
+        "import sys; from canser import LineConfig; from canser.live.line import open_line\n"
+        "line = open_line(sys.argv[1], LineConfig(baudrate=115_200)); print('open', flush=True)\n"
         "line.read_into(memoryview(bytearray(10)), None)"
     )
     with Device() as device:
@@ -469,7 +580,7 @@ def test_a_program_that_is_killed_leaves_the_port_free() -> None:
             assert process.stdout is not None
             assert process.stdout.readline() == b"open\n"
             with pytest.raises(PortBusyError):
-                open_line(device.url, 115_200)
+                open_line(device.url, LineConfig(baudrate=115_200))
             process.kill()
         with opened(device.url) as line:
             device.feed(b"on")
@@ -482,6 +593,6 @@ def test_the_module_can_be_imported_without_termios() -> None:
         "import sys; import numpy, cffi, select; sys.platform = 'win32'\n"
         "for name in ('termios', 'fcntl', 'grp', 'pty', 'tty'): sys.modules[name] = None\n"
         "del select.poll\n"
-        "from canser.live import line, link, ports, ring, stream"
+        "from canser.live import line, ports, reader, ring, stream"
     )
     subprocess.run([sys.executable, "-c", program], check=True)

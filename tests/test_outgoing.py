@@ -159,7 +159,9 @@ def test_what_a_filter_leaves_keeps_its_times() -> None:
     out = outgoing(frames, protocol="seeed")
     assert out.next(ROOM, 0)
     sent(out, 0)
-    packet = adapters.configuration("seeed", frame_type="extended")
+    packet = adapters.configuration(
+        "seeed", adapters.AdapterConfig(bitrate=500_000, frame_type="extended")
+    )
     out.configure(adapters.report("seeed", packet))
     went = [now for now, data in run(out, SECOND) for _ in canser.decode(data, "seeed")]
     assert went == [n * 100 * MILLISECOND for n in (2, 4, 6, 8)]

@@ -23,6 +23,8 @@ from hypothesis import strategies as st
 
 import canser
 from canser._frames import FRAME_DTYPE, FrameArray
+from canser.adapters import AdapterConfig
+from canser.live.config import LineConfig
 from canser.simulation.traffic import line_noise, vehicle
 from device import PATIENCE, Device, descriptors, until
 from reference import Frame
@@ -359,10 +361,10 @@ def test_an_interrupt_right_behind_the_decoder_loses_no_frame(
     frames = traffic(1)
     pieces: list[bytes] = []
 
-    def tap(data: memoryview, *_: object) -> None:
+    def on_bytes(data: memoryview, *_: object) -> None:
         pieces.append(bytes(data))
 
-    with plugged(tap=tap) as (device, port):
+    with plugged(on_bytes=on_bytes) as (device, port):
         raw = canser.encode(frames, "seeed")
         device.feed(raw)
         until(lambda: waiting(port) == len(raw))
@@ -389,18 +391,18 @@ def select_readable(port: canser.Port) -> bool:
     return bool(poll.poll(0))
 
 
-def test_an_exception_in_the_tap_loses_no_frame_and_no_byte() -> None:
+def test_an_exception_in_on_bytes_loses_no_frame_and_no_byte() -> None:
     frames = traffic(1)
     pieces: list[bytes] = []
 
-    def tap(data: memoryview, *_: object) -> None:
+    def on_bytes(data: memoryview, *_: object) -> None:
         pieces.append(bytes(data))
         if len(pieces) % 2:
             raise OSError("the disk is full")
 
     errors = 0
     got: list[FrameArray] = []
-    with plugged(tap=tap) as (device, port):
+    with plugged(on_bytes=on_bytes) as (device, port):
         device.feed(canser.encode(frames, "seeed"))
         while sum(map(len, got)) < len(frames):
             try:
@@ -412,9 +414,9 @@ def test_an_exception_in_the_tap_loses_no_frame_and_no_byte() -> None:
     assert b"".join(pieces) == canser.encode(frames, "seeed")
 
 
-def test_the_tap_may_close_the_port() -> None:
+def test_on_bytes_may_close_the_port() -> None:
     ports: list[canser.Port] = []
-    with plugged(tap=lambda *_: ports[0].close()) as (device, port):
+    with plugged(on_bytes=lambda *_: ports[0].close()) as (device, port):
         ports.append(port)
         device.feed(canser.encode(traffic(1)[:3], "seeed"))
         with contextlib.suppress(canser.PortClosedError):
@@ -433,17 +435,20 @@ def test_a_read_that_waits_returns_what_has_come_when_the_port_is_closed() -> No
         assert content(frames_of(reader)) == content(frames)
 
 
-# The tap
+# The bytes as they came
 
 
-def test_the_tap_sees_every_byte_and_what_is_lost_before_it() -> None:
+def test_on_bytes_sees_every_byte_and_what_is_lost_before_it() -> None:
     seen: list[tuple[bytes, int, int]] = []
 
-    def tap(data: memoryview, ns: int, lost: int) -> None:
+    def on_bytes(data: memoryview, ns: int, lost: int) -> None:
         seen.append((bytes(data), ns, lost))
 
     raw = line_noise(canser.encode(traffic(20), "seeed"))
-    with warnings.catch_warnings(), plugged(tap=tap, ring_size=1 << 16) as (device, port):
+    with (
+        warnings.catch_warnings(),
+        plugged(on_bytes=on_bytes, line=LineConfig(ring_size=1 << 16)) as (device, port),
+    ):
         warnings.simplefilter("ignore", canser.CanserWarning)
         device.feed(raw)
         device.fed()
@@ -606,7 +611,7 @@ def test_a_status_is_asked_for_and_no_frame_is_lost() -> None:
         device.feed(raw[:5000])
         until(lambda: waiting(port) == 5000)
         asker = Background(lambda: port.request_status(timeout=PATIENCE))
-        assert device.read(20) == canser.adapters.status_request("seeed")
+        assert device.read(20) == canser.protocol("seeed").status_request
         device.feed(raw[5000:] + STATUS)
         report = asker.join().result
         assert isinstance(report, canser.adapters.AdapterReport)
@@ -648,25 +653,41 @@ def test_a_status_that_does_not_come() -> None:
 
 
 def test_an_adapter_is_configured() -> None:
-    expected = canser.adapters.configuration("seeed", bitrate=250_000, mode="silent")
-    with plugged(bitrate=250_000, mode="silent") as (device, port):
-        assert device.read(20) == expected
+    silent = AdapterConfig(bitrate=250_000, mode="silent")
+    once = AdapterConfig(bitrate=500_000, once=True)
+    with plugged(config=silent) as (device, port):
+        assert device.read(20) == canser.adapters.configuration("seeed", silent)
         assert port.bitrate == 250_000
-        port.configure(bitrate=500_000, once=True)
-        assert device.read(20) == canser.adapters.configuration("seeed", once=True)
+        port.configure(once)
+        assert device.read(20) == canser.adapters.configuration("seeed", once)
         assert port.bitrate == 500_000
+        port.configure(bitrate=250_000)
+        plain = AdapterConfig(bitrate=250_000)
+        assert device.read(20) == canser.adapters.configuration("seeed", plain)
+        assert port.bitrate == 250_000
+        with pytest.raises(ValueError, match="bitrate is missing; give bitrate or config"):
+            port.configure()
+        with pytest.raises(ValueError, match="bitrate is 250000, but config has the bitrate 500"):
+            port.configure(once, bitrate=250_000)
+
+
+def test_a_bitrate_configures_an_adapter_as_a_config_of_it() -> None:
+    with plugged(bitrate=250_000) as (device, port):
+        plain = AdapterConfig(bitrate=250_000)
+        assert device.read(20) == canser.adapters.configuration("seeed", plain)
+        assert port.bitrate == 250_000
 
 
 @pytest.mark.parametrize(
     ("protocol", "options", "message"),
     [
         ("foo", {}, "unknown protocol 'foo'; have: cantalope, seeed, serial"),
-        ("seeed", {"baudrate": 0}, "baudrate is 0; it must be 1 or more"),
-        ("seeed", {"ring_size": 1000}, "ring_size is 1000; it must be 65536 or more"),
-        ("seeed", {"ping": 1}, "seeed adapters know no ping; leave ping out"),
-        ("cantalope", {"ping": 0}, "ping is 0; it must be more than 0 seconds"),
-        ("cantalope", {"ping": float("nan")}, "ping is nan"),
-        ("seeed", {"mode": "silent"}, "give its bitrate, too"),
+        ("seeed", {"line": LineConfig(ping=1)}, "seeed adapters know no ping; leave ping out"),
+        (
+            "seeed",
+            {"bitrate": 250_000, "config": AdapterConfig(bitrate=500_000)},
+            "bitrate is 250000, but config has the bitrate 500000; give one of both",
+        ),
         ("seeed", {"bitrate": 1}, "bitrate 1 is none of the adapter's"),
         ("serial", {"bitrate": 500_000}, "serial adapters take no configuration"),
         ("serial", {"ts_unit": "h"}, "unknown ts_unit 'h'"),
@@ -841,7 +862,7 @@ def test_a_send_that_is_interrupted_leaves_whole_packets() -> None:
         with plugged() as (device, port):
 
             def interrupt() -> None:
-                until(lambda: port._link._writing.locked() and device.hears())
+                until(lambda: port._reader._writing.locked() and device.hears())
                 signal.pthread_kill(main, signal.SIGUSR1)
 
             interrupter = Background(interrupt)
@@ -885,7 +906,7 @@ def test_a_port_is_closed_once() -> None:
         assert port.stats.frames == 0
         assert port.take_gaps() == []
     assert descriptors() == before
-    assert not [t for t in threading.enumerate() if t.name == "canser link"]
+    assert not [t for t in threading.enumerate() if t.name == "canser reader"]
 
 
 @pytest.mark.parametrize("way", ["read", "send", "drain"])
@@ -927,15 +948,15 @@ def test_a_port_may_be_collected_in_its_own_thread() -> None:
     done = threading.Event()
     with Device() as device:
         port = canser.open(device.url, "seeed")
-        link, put = port._link, port._ring.put
+        reader, put = port._reader, port._ring.put
 
         def collect_in(count: int, ns: int) -> None:
             put(count, ns)
-            with link._ring._lock:
+            with reader._ring._lock:
                 gc.collect()
             done.set()
 
-        link._ring.put = collect_in  # type: ignore[method-assign]
+        reader._ring.put = collect_in  # type: ignore[method-assign]
         cycle: list[object] = [port]
         cycle.append(cycle)
         gc.disable()
@@ -945,8 +966,8 @@ def test_a_port_may_be_collected_in_its_own_thread() -> None:
                 del port, cycle
                 device.feed(b"x")
                 assert done.wait(PATIENCE)
-                link._thread.join(PATIENCE)
-                assert not link._thread.is_alive()
+                reader._thread.join(PATIENCE)
+                assert not reader._thread.is_alive()
             assert [w.category for w in caught] == [ResourceWarning]
         finally:
             gc.enable()

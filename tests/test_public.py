@@ -11,6 +11,7 @@ import pytest
 import canser
 
 NAMES = [
+    "AdapterConfig",
     "AdapterReport",
     "Blocks",
     "Converted",
@@ -29,6 +30,7 @@ NAMES = [
     "FormatError",
     "FrameArray",
     "Gap",
+    "LineConfig",
     "NO_TIME",
     "NoProtocolError",
     "OutputExistsError",

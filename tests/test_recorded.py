@@ -18,7 +18,7 @@ from canser._frames import FRAME_DTYPE, FrameArray
 from canser.errors import CanserWarning, NoProtocolError, RecordingError
 from canser.recording.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
-from canser.timing.clocks import Stamper
+from canser.timing.clocks import FrameClock
 from test_cli import BAD_CALL, BAD_DATA, GOOD, assert_fails, names, run
 
 INFO = RecordingInfo("seeed", 2_000_000, 500_000, "ms", "/dev/ttyUSB0")
@@ -93,18 +93,18 @@ def test_a_recording_gives_the_frames_of_its_bytes(protocol: str, tmp_path: Path
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_times_are_those_of_the_line(protocol: str, tmp_path: Path) -> None:
-    # As a port stamps them: the pieces as they were read. A recording keeps these to 2 ms.
+    # As a port gives them: the pieces as they were read. A recording keeps these to 2 ms.
     frames, raw, pieces = traffic(protocol, 10)
     clocked = protocol == "serial"
     live = canser.decode(raw, protocol)
     offsets = np.empty(len(live), np.int64)
     canser.decode(raw, protocol, offsets=offsets)
-    stamper = Stamper(clocked, INFO.byte_ns, 20)
+    clock = FrameClock(clocked, INFO.byte_ns, 20)
     end = 0
     for data, arrival, _ in pieces:
         end += len(data)
-        stamper.arrived(end, arrival)
-    stamper.stamp(live, offsets, len(raw))
+        clock.add_arrival(end, arrival)
+    clock.assign_times(live, offsets, len(raw))
     path = record(tmp_path / "run.pcapng", pieces, replace(INFO, protocol=protocol))
     got = canser.read(path)
     assert np.abs(got["ts"] - live["ts"]).max() <= 3 * MS
@@ -135,7 +135,7 @@ def test_blocks_of_any_size_are_the_same(
     assert all(len(block) == room for block in got[:-1])
     assert np.array_equal(untimed(np.concatenate(got)), untimed(want))
     assert offsets == sorted(set(offsets))
-    # What follows the last frame of a block is not looked at: see Stamper.
+    # What follows the last frame of a block is not looked at: see FrameClock.
     assert np.abs(np.concatenate(got)["ts"] - want["ts"]).max() <= 20 * BYTE
 
 

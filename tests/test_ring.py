@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from canser.errors import PortGoneError
-from canser.live.ring import Gap, Piece, Ring
+from canser.live.ring import Gap, Read, Ring
 from device import until
 
 SIZE = 64
@@ -58,7 +58,7 @@ class RingMachine(RuleBasedStateMachine):
         self.next = 0
         self.lost = 0
         self.gaps: list[Gap] = []
-        self.pieces: list[Piece] = []
+        self.reads: list[Read] = []
         self.full = False
         self.ended = False
 
@@ -95,7 +95,7 @@ class RingMachine(RuleBasedStateMachine):
         count = min(wanted, len(room))
         room[:count] = data[:count]
         self.ring.put(count, self.ns)
-        self.pieces.append(Piece(self.end, self.end + count, self.ns))
+        self.reads.append(Read(self.end, self.end + count, self.ns))
         self.held += data[:count]
         self.next += count
 
@@ -107,19 +107,19 @@ class RingMachine(RuleBasedStateMachine):
 
     @rule(share=st.floats(0, 1))
     def bytes_go(self, share: float) -> None:
-        data, pieces = self.ring.peek()
+        data, reads = self.ring.peek()
         stop = self.gaps[0].offset if self.gaps else self.end
         expected = self.held[: stop - self.begin]
         # All of it in one piece of memory, or what lies before the memory's end.
         assert data.tobytes() == bytes(expected[: len(data)])
         assert len(data) in (len(expected), self.size - self.begin % self.size)
-        shown = [piece for piece in self.pieces if piece.end <= self.begin + len(data)]
-        assert pieces == shown
-        self.pieces = self.pieces[len(shown) :]
+        shown = [read for read in self.reads if read.end <= self.begin + len(data)]
+        assert reads == shown
+        self.reads = self.reads[len(shown) :]
         count = int(share * len(data))
         self.begin += count
         del self.held[:count]
-        self.ring.took(self.begin)
+        self.ring.release_to(self.begin)
 
     @rule()
     def the_gap_goes(self) -> None:
@@ -189,14 +189,14 @@ def test_two_threads_lose_nothing_uncounted() -> None:
     lost = 0
     while ring.error is None:
         assert ring.wait(random_reader.randint(1, 3000), time.monotonic() + 60)
-        data, pieces = ring.peek()
-        for piece in pieces:
-            assert offset <= piece.begin < piece.end <= offset + len(data)
+        data, reads = ring.peek()
+        for read in reads:
+            assert offset <= read.begin < read.end <= offset + len(data)
         count = random_reader.randint(0, len(data))
         assert data[:count].tobytes() == bytes((position + i) % 251 for i in range(count))
         position += count
         offset += count
-        ring.took(offset)
+        ring.release_to(offset)
         if count == len(data) and (gap := ring.take_gap()) is not None:
             assert gap.offset == offset
             position += gap.lost
@@ -209,9 +209,9 @@ def test_two_threads_lose_nothing_uncounted() -> None:
 def test_a_full_ring_stays_full_until_a_sixteenth_is_free() -> None:
     ring = Ring(SIZE)
     assert len(fill(ring)) == SIZE
-    ring.took(SIZE // 16 - 1)
+    ring.release_to(SIZE // 16 - 1)
     assert ring.room() is None
-    ring.took(SIZE // 16)
+    ring.release_to(SIZE // 16)
     assert ring.room() is not None
 
 
@@ -242,7 +242,7 @@ def test_a_gap_wakes_who_came_too_late_for_the_bytes_before_it() -> None:
     ring = Ring(SIZE)
     fd = ring.fileno()
     fill(ring)
-    ring.took(SIZE)  # just before the next bytes are counted
+    ring.release_to(SIZE)  # just before the next bytes are counted
     assert not readable(fd)
     told: list[None] = []
     ring.listen(1, lambda: told.append(None))
@@ -273,7 +273,7 @@ def test_the_descriptor_is_readable_while_frames_are_held() -> None:
     ring.hold_ready(True)
     assert readable(fd)
     put(ring, b"1")
-    ring.took(1)
+    ring.release_to(1)
     assert readable(fd)
     ring.hold_ready(False)
     assert not readable(fd)

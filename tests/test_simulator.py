@@ -102,6 +102,12 @@ def check(report: SimulatorReport) -> None:
     assert 0 <= report.frames_intact <= report.frames
 
 
+def configuration(**settings: Any) -> bytes:
+    """Return the packet that configures an adapter, by default to 500 kbit/s."""
+    config = canser.AdapterConfig(**{"bitrate": 500_000, **settings})
+    return adapters.configuration("seeed", config)
+
+
 def open_descriptors() -> list[str]:
     return sorted(path.name for path in Path("/proc/self/fd").iterdir())
 
@@ -138,7 +144,7 @@ def test_traffic_that_does_not_come_keeps_neither_answers_nor_the_end() -> None:
         yield FRAMES[:10]
         more.wait(PATIENCE)
 
-    ping = adapters.ping("cantalope")
+    ping = canser.protocol("cantalope").ping
     with Simulator("cantalope", parts(), pace="max") as device, host(device) as one:
         one.read(len(canser.encode(FRAMES[:10], "cantalope")))
         assert not device.finished
@@ -398,7 +404,7 @@ def test_a_stall_is_silence_at_its_byte() -> None:
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_ping_and_status_come_straight_back_between_two_frames(protocol: str) -> None:
-    asked = adapters.ping(protocol) + adapters.status_request(protocol)
+    asked = canser.protocol(protocol).ping + canser.protocol(protocol).status_request
     with (
         Simulator(protocol, FRAMES, loop=True, pace="max") as device,
         host(device) as one,
@@ -419,7 +425,7 @@ def test_ping_and_status_come_straight_back_between_two_frames(protocol: str) ->
 
 
 def test_a_deaf_one_counts_and_says_nothing() -> None:
-    ping = adapters.ping("cantalope")
+    ping = canser.protocol("cantalope").ping
     with Simulator("cantalope", deaf=True) as device, host(device) as one:
         one.write(ping)
         until(lambda: device.report().controls == {"ping": 1})
@@ -430,7 +436,7 @@ def test_a_deaf_one_counts_and_says_nothing() -> None:
 
 
 def test_a_configuration_is_taken() -> None:
-    packet = adapters.configuration("seeed", bitrate=250_000, mode="silent", once=True)
+    packet = configuration(bitrate=250_000, mode="silent", once=True)
     with Simulator("seeed") as device, host(device) as one:
         assert device.configuration is None
         one.write(packet)
@@ -444,7 +450,7 @@ def test_the_filter_holds_from_the_next_frame_on() -> None:
     frames = vehicle(2)
     with Simulator("seeed", frames, pace="max") as device, host(device) as one:
         data = one.read(1_000)
-        one.write(adapters.configuration("seeed", frame_type="extended"))
+        one.write(configuration(frame_type="extended"))
         until(lambda: device.configuration is not None)
         data += one.read_all(device)
         report = device.report()
@@ -462,7 +468,7 @@ def test_the_filter_holds_from_the_next_frame_on() -> None:
 def test_a_filter_by_id() -> None:
     wanted = int(FRAMES["id"][0])
     with Simulator("seeed", FRAMES, pace="max", stalls=[(0, 0.2)]) as device, host(device) as one:
-        one.write(adapters.configuration("seeed", filter_id=wanted, filter_mask=0x7FF))
+        one.write(configuration(filter_id=wanted, filter_mask=0x7FF))
         found = canser.decode(one.read_all(device), "seeed")
     assert found["id"].tolist() == [wanted] * int((FRAMES["id"] == wanted).sum())
 
@@ -486,8 +492,8 @@ def test_echo_sends_all_back_in_order(protocol: str) -> None:
 
 def test_the_mode_of_loopback_sends_what_comes_behind_it_back() -> None:
     before, between, behind = (canser.encode(part, "seeed") for part in np.split(FRAMES[:30], 3))
-    loopback = adapters.configuration("seeed", mode="loopback")
-    normal = adapters.configuration("seeed")
+    loopback = configuration(mode="loopback")
+    normal = configuration()
     with Simulator("seeed", pace="max") as device, host(device) as one:
         one.write(before + loopback + between + normal + behind)
         until(lambda: device.report().frames_received == 30)
@@ -598,7 +604,7 @@ def test_replugged_it_goes_on_with_the_next_frame(tmp_path: Path) -> None:
 def test_a_replugged_one_has_forgotten_its_configuration() -> None:
     with Simulator("seeed") as device:
         with host(device) as one:
-            one.write(adapters.configuration("seeed"))
+            one.write(configuration())
             until(lambda: device.configuration is not None)
             assert device.unplug(timeout=PATIENCE)
         device.replug()

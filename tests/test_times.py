@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canser._core.buffers import Times
-from canser._core.clock import Line, find_arrivals, find_lowest, find_ranked
+from canser._core.clock import ClockLine, find_arrivals, find_lowest, find_ranked
 
 S = 1_000_000_000
 EPOCH = 1_790_000_000 * S
@@ -80,17 +80,17 @@ def test_the_line_and_what_is_believed(
     latest: int,
     cut: int,
 ) -> None:
-    line = Line(early, latest)
-    line.lay(*lay)
+    line = ClockLine(early, latest)
+    line.set(*lay)
     device = array([clock for clock, _ in frames])
     arrivals = array([wrapped(above(clock, lay) + delay) for clock, delay in frames])
-    heights = np.empty_like(arrivals)
-    line.find_heights(device, arrivals, heights)
+    residuals = np.empty_like(arrivals)
+    line.find_residuals(device, arrivals, residuals)
     times = arrivals.copy()
     line.map(device[:cut], times[:cut], reached, late)
     line.map(device[cut:], times[cut:], reached, late)
     for (clock, _), arrival, height, time in zip(
-        frames, arrivals.tolist(), heights.tolist(), times.tolist(), strict=True
+        frames, arrivals.tolist(), residuals.tolist(), times.tolist(), strict=True
     ):
         host = above(clock, lay)
         assert height == wrapped(arrival - host)
@@ -102,9 +102,9 @@ def test_the_line_and_what_is_believed(
 
 
 def test_no_time_lies_before_those_of_others() -> None:
-    line = Line(0, LEAST)
-    line.lay(0, 0, 0.0)
-    line.pass_by(70)
+    line = ClockLine(0, LEAST)
+    line.set(0, 0, 0.0)
+    line.floor_at(70)
     times = array([100, 100, 100])
     line.map(array([60, 80, 50]), times, 0, 100)
     assert times.tolist() == [70, 80, 80]

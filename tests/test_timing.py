@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import canser
 from canser._frames import FRAME_DTYPE, FrameArray
-from canser.timing.clocks import ClockEstimate, Stamper
+from canser.timing.clocks import ClockEstimate, FrameClock
 
 Times = npt.NDArray[np.int64]
 
@@ -91,9 +91,9 @@ def ticks(truth: Times, unit: str = "ms", ppm: float = 0, zero: int = EPOCH - 77
 
 
 def feed(
-    stamper: Stamper, stream: Stream, device: Times | None = None, batch: int = 4096
+    clock: FrameClock, stream: Stream, device: Times | None = None, batch: int = 4096
 ) -> Iterator[FrameArray]:
-    """Stamp a stream, each batch as soon as its bytes have arrived."""
+    """Give a stream its times, each batch as soon as its bytes have arrived."""
     pieces = iter(stream.pieces)
     arrived = 0
     for start in range(0, len(stream.offsets), batch):
@@ -102,26 +102,26 @@ def feed(
         end = int(rest[0]) if len(rest) else stream.end
         while arrived < end:
             arrived, ns = next(pieces)
-            stamper.arrived(arrived, ns)
+            clock.add_arrival(arrived, ns)
         frames = np.zeros(len(part), FRAME_DTYPE)
         if device is not None:
             frames["ts"] = device[start : start + batch]
-        stamper.stamp(frames, part, end)
+        clock.assign_times(frames, part, end)
         yield frames
 
 
-def stamped(
+def timed(
     stream: Stream, device: Times | None = None, batch: int = 4096, byte_ns: float = BYTE_NS
-) -> tuple[Times, Stamper]:
-    stamper = Stamper(device is not None, byte_ns, FRAME_MAX)
-    times = [frames["ts"] for frames in feed(stamper, stream, device, batch)]
-    return np.concatenate(times), stamper
+) -> tuple[Times, FrameClock]:
+    clock = FrameClock(device is not None, byte_ns, FRAME_MAX)
+    times = [frames["ts"] for frames in feed(clock, stream, device, batch)]
+    return np.concatenate(times), clock
 
 
-def known(stamper: Stamper) -> ClockEstimate:
-    assert stamper.remark is None
-    assert stamper.clock is not None
-    return stamper.clock
+def known(clock: FrameClock) -> ClockEstimate:
+    assert clock.remark is None
+    assert clock.estimate is not None
+    return clock.estimate
 
 
 def after(stream: Stream, seconds: float) -> npt.NDArray[np.bool_]:
@@ -134,65 +134,67 @@ def after(stream: Stream, seconds: float) -> npt.NDArray[np.bool_]:
 @pytest.mark.parametrize("latency", [MS, 4 * MS, 16 * MS])
 def test_unclocked_times_are_between_the_line_and_the_read(latency: int) -> None:
     stream = send(bus(1, 60, 400), latency=latency)
-    times, stamper = stamped(stream)
+    times, clock = timed(stream)
     assert (times >= stream.done - 2).all()  # the simulation rounds, too
     assert (times <= stream.read).all()
     assert (np.diff(times) >= 0).all()
     assert np.median(times - stream.done) < latency
-    assert stamper.clock is None
-    assert stamper.remark is None
+    assert clock.estimate is None
+    assert clock.remark is None
 
 
 def test_a_busy_line_is_known_to_the_byte() -> None:
     # Back to back frames: every byte but those behind a late read is where the byte time puts it.
     stream = send(EPOCH + np.arange(5000) * 100 * US, latency=MS)
-    times, _ = stamped(stream)
+    times, _ = timed(stream)
     assert np.percentile(np.abs(times - stream.done), 90) < 2 * MS
 
 
 def test_the_last_byte_counts_and_noise_behind_it_does_not() -> None:
-    stamper = Stamper(False, 100, 10)
-    stamper.arrived(5, 1000)
-    stamper.arrived(100, 50_000)
+    clock = FrameClock(False, 100, 10)
+    clock.add_arrival(5, 1000)
+    clock.add_arrival(100, 50_000)
     frames = np.zeros(4, FRAME_DTYPE)
-    stamper.stamp(frames, np.array([0, 6, 30, 92]), 99)
+    clock.assign_times(frames, np.array([0, 6, 30, 92]), 99)
     # The first one straddles two reads, behind the second lie 8 bytes of noise,
     # behind the third more; behind the last byte of the fourth there is one more.
     assert frames["ts"].tolist() == [50_000 - 9400, 50_000 - 8400, 50_000 - 6000, 50_000 - 100]
 
 
 def test_no_byte_came_before_the_piece_before() -> None:
-    stamper = Stamper(False, 100, 10)
-    stamper.arrived(10, 1000)
-    stamper.arrived(30, 1500)
+    clock = FrameClock(False, 100, 10)
+    clock.add_arrival(10, 1000)
+    clock.add_arrival(30, 1500)
     frames = np.zeros(3, FRAME_DTYPE)
-    stamper.stamp(frames, np.array([0, 10, 20]), 30)
+    clock.assign_times(frames, np.array([0, 10, 20]), 30)
     assert frames["ts"].tolist() == [1000, 1000, 1500]
 
 
 def test_arrivals_never_go_back() -> None:
-    stamper = Stamper(False, 100, 10)
-    stamper.arrived(10, 5000)
-    stamper.arrived(20, 4000)
-    stamper.arrived(30, 4500)
+    clock = FrameClock(False, 100, 10)
+    clock.add_arrival(10, 5000)
+    clock.add_arrival(20, 4000)
+    clock.add_arrival(30, 4500)
     frames = np.zeros(3, FRAME_DTYPE)
-    stamper.stamp(frames, np.array([0, 10, 20]), 30)
+    clock.assign_times(frames, np.array([0, 10, 20]), 30)
     assert frames["ts"].tolist() == [5000, 5000, 5000]
 
 
 def test_frames_need_arrivals() -> None:
-    stamper = Stamper(False, 100, 10)
-    stamper.arrived(10, 1000)
-    with pytest.raises(ValueError, match=r"offset 11, .* up to 10 only; call arrived\(\) first"):
-        stamper.stamp(np.zeros(1, FRAME_DTYPE), np.array([0]), 11)
+    clock = FrameClock(False, 100, 10)
+    clock.add_arrival(10, 1000)
+    with pytest.raises(
+        ValueError, match=r"offset 11, .* up to 10 only; call add_arrival\(\) first"
+    ):
+        clock.assign_times(np.zeros(1, FRAME_DTYPE), np.array([0]), 11)
 
 
 def test_pieces_are_forgotten_when_all_is_decoded() -> None:
-    stamper = Stamper(False, 100, 10)
+    clock = FrameClock(False, 100, 10)
     for piece in range(1, 1000):
-        stamper.arrived(piece * 10, piece)
-        stamper.stamp(np.zeros(0, FRAME_DTYPE), np.zeros(0, np.int64), piece * 10 - 3)
-        assert len(stamper._pieces) <= 3
+        clock.add_arrival(piece * 10, piece)
+        clock.assign_times(np.zeros(0, FRAME_DTYPE), np.zeros(0, np.int64), piece * 10 - 3)
+        assert len(clock._pieces) <= 3
 
 
 # With a clock.
@@ -203,7 +205,7 @@ def test_pieces_are_forgotten_when_all_is_decoded() -> None:
 @pytest.mark.parametrize("rate", [5, 100, 450])
 def test_clocked_times_are_the_truth(unit: str, latency: int, rate: float) -> None:
     stream = send(bus(2, 300, rate), latency=latency)
-    times, stamper = stamped(stream, ticks(stream.truth, unit))
+    times, clock = timed(stream, ticks(stream.truth, unit))
     error = times - stream.truth
     assert (np.diff(times) >= 0).all()
     assert (times <= stream.read).all()
@@ -212,45 +214,45 @@ def test_clocked_times_are_the_truth(unit: str, latency: int, rate: float) -> No
     slack = MS if latency == MS or rate > 5 else 6 * MS
     assert error[good].min() >= -TICK[unit] - slack
     assert error[good].max() <= slack
-    assert known(stamper).restarts == 0
-    assert known(stamper).frames == pytest.approx(len(times), rel=0.05)
+    assert known(clock).restarts == 0
+    assert known(clock).frames == pytest.approx(len(times), rel=0.05)
 
 
 @pytest.mark.parametrize("ppm", [-50, 50])
 def test_drift_is_followed_for_an_hour(ppm: int) -> None:
     stream = send(bus(3, 3600, 100))
-    times, stamper = stamped(stream, ticks(stream.truth, "ms", ppm))
+    times, clock = timed(stream, ticks(stream.truth, "ms", ppm))
     error = (times - stream.truth)[after(stream, 5)]
     assert error.min() > -4 * MS
     assert error.max() < 4 * MS
-    assert known(stamper).drift_ppm == pytest.approx(ppm, abs=3)
-    assert known(stamper).restarts == 0
-    assert 0 < known(stamper).jitter_ns < 20 * MS
+    assert known(clock).drift_ppm == pytest.approx(ppm, abs=3)
+    assert known(clock).restarts == 0
+    assert 0 < known(clock).jitter_ns < 20 * MS
     now = int(stream.truth[-1]) - int(ticks(stream.truth[-1:], "ms", ppm)[0])
-    assert known(stamper).offset_ns == pytest.approx(now, abs=4 * MS)
+    assert known(clock).offset_ns == pytest.approx(now, abs=4 * MS)
 
 
 @pytest.mark.parametrize("ppm", [-10_000, 10_000])
 def test_a_clock_without_a_crystal(ppm: int) -> None:
     stream = send(bus(5, 400, 200))
-    times, stamper = stamped(stream, ticks(stream.truth, "ms", ppm))
+    times, clock = timed(stream, ticks(stream.truth, "ms", ppm))
     assert np.abs((times - stream.truth)[after(stream, 200)]).max() < 30 * MS
-    assert known(stamper).restarts == 0
+    assert known(clock).restarts == 0
 
 
 def test_ticks_of_a_second() -> None:
     stream = send(bus(18, 240, 30))
-    times, stamper = stamped(stream, ticks(stream.truth, "s"))
+    times, clock = timed(stream, ticks(stream.truth, "s"))
     error = (times - stream.truth)[after(stream, 20)]
     assert error.min() >= -S - 10 * MS
     assert error.max() <= 50 * MS
-    assert known(stamper).restarts == 0
-    assert abs(known(stamper).drift_ppm) < 500
+    assert known(clock).restarts == 0
+    assert abs(known(clock).drift_ppm) < 500
 
 
 def test_the_estimate_is_good_from_the_start() -> None:
     stream = send(bus(4, 5, 200), latency=4 * MS)
-    times, _ = stamped(stream, ticks(stream.truth, "us"))
+    times, _ = timed(stream, ticks(stream.truth, "us"))
     error = times - stream.truth
     assert error.min() >= 0
     assert error[:8].max() <= 6 * MS
@@ -262,21 +264,21 @@ def test_after_a_stall_of_the_host_device_times_are_still_right(seconds: float) 
     length = round(seconds * S)
     stream = send(bus(5, 120, 200), stalls=((60 * S, length),))
     late = stream.read - stream.done
-    times, stamper = stamped(stream, ticks(stream.truth))
+    times, clock = timed(stream, ticks(stream.truth))
     error = (times - stream.truth)[after(stream, 10)]
     assert late.max() > 0.9 * length
     assert np.abs(error).max() <= 4 * MS
     assert (np.diff(times) >= 0).all()
-    assert known(stamper).restarts == 0
+    assert known(clock).restarts == 0
 
 
 def test_bytes_that_were_old_when_the_port_was_opened() -> None:
     stream = send(bus(6, 60, 200), stalls=((0, 8 * S),))
-    times, stamper = stamped(stream, ticks(stream.truth))
+    times, clock = timed(stream, ticks(stream.truth))
     assert (times <= stream.read).all()
     assert (np.diff(times) >= 0).all()
     assert np.abs((times - stream.truth)[after(stream, 10)]).max() <= 4 * MS
-    assert known(stamper).restarts == 0
+    assert known(clock).restarts == 0
 
 
 @pytest.mark.parametrize("unit", ["ms", "us"])
@@ -288,7 +290,7 @@ def test_a_false_frame_keeps_its_arrival_and_moves_nothing(unit: str) -> None:
     # Seconds to hours off, both ways.
     wild = (10 ** rng.uniform(9.8, 13, false.sum())).astype(np.int64)
     device[false] += wild * rng.choice([-1, 1], false.sum())
-    times, stamper = stamped(stream, device)
+    times, clock = timed(stream, device)
     error = times - stream.truth
     good = after(stream, 10) & ~false
     assert false.sum() > 20
@@ -298,7 +300,7 @@ def test_a_false_frame_keeps_its_arrival_and_moves_nothing(unit: str) -> None:
     # The first byte's arrival, and that is not before the frame was on the bus.
     assert (error[false] >= 0).all()
     assert (times[false] <= stream.read[false]).all()
-    assert known(stamper).restarts == 0
+    assert known(clock).restarts == 0
 
 
 @pytest.mark.parametrize("rate", [2, 200])
@@ -309,7 +311,7 @@ def test_a_restart_of_the_device_starts_a_new_estimate(rate: float, zero: int) -
     device = ticks(stream.truth)
     again = after(stream, 60)
     device[again] = ticks(stream.truth, zero=zero)[again]
-    times, stamper = stamped(stream, device)
+    times, clock = timed(stream, device)
     error = times - stream.truth
     assert np.abs(error[after(stream, 15) & ~again]).max() < 12 * MS
     # Until it is noticed they have arrival times.
@@ -317,14 +319,14 @@ def test_a_restart_of_the_device_starts_a_new_estimate(rate: float, zero: int) -
     assert error[again].min() >= -12 * MS
     assert np.abs(error[after(stream, 75)]).max() < 12 * MS
     assert (times <= stream.read).all()
-    assert known(stamper).restarts == 1
+    assert known(clock).restarts == 1
 
 
 def test_a_clock_that_stood_still_for_a_while() -> None:
     stream = send(bus(9, 150, 200))
     device = ticks(stream.truth)
     device[after(stream, 60)] -= 400 * MS
-    times, _ = stamped(stream, device)
+    times, _ = timed(stream, device)
     error = times - stream.truth
     assert np.abs(error[after(stream, 95)]).max() < 5 * MS
 
@@ -334,18 +336,18 @@ def test_behind_a_gap_the_clock_proves_itself_again(zero: int) -> None:
     # The same device, one that is later by 17 s only, one that was just switched on.
     before, behind = send(bus(10, 60, 200)), send(bus(10, 60, 200))
     device = np.append(ticks(before.truth), ticks(before.truth + 100 * S, zero=zero))
-    stamper = Stamper(True, BYTE_NS, FRAME_MAX)
-    times = [f["ts"] for f in feed(stamper, before, device[: len(before.truth)])]
-    stamper.gap()
+    clock = FrameClock(True, BYTE_NS, FRAME_MAX)
+    times = [f["ts"] for f in feed(clock, before, device[: len(before.truth)])]
+    clock.gap()
     behind.offsets += before.end
     behind.end += before.end
     behind.pieces = [(end + before.end, ns + 100 * S) for end, ns in behind.pieces]
-    times += [f["ts"] for f in feed(stamper, behind, device[len(before.truth) :])]
+    times += [f["ts"] for f in feed(clock, behind, device[len(before.truth) :])]
     error = np.concatenate(times) - np.append(before.truth, behind.truth + 100 * S)
     settled = error[len(before.truth) + 200 :]  # a second
     assert settled.min() >= -3 * MS
     assert settled.max() <= 3 * MS
-    assert known(stamper).restarts == (zero != EPOCH - 77 * S)
+    assert known(clock).restarts == (zero != EPOCH - 77 * S)
 
 
 @pytest.mark.parametrize(
@@ -363,9 +365,9 @@ def test_a_wrong_unit_is_told_and_frames_have_arrival_times(
 ) -> None:
     stream = send(bus(11, 60, 200))
     device = ticks(stream.truth, unit) // TICK[unit] * TICK[taken_for]
-    times, stamper = stamped(stream, device)
-    assert stamper.remark == f"the device clock runs {said}"
-    assert stamper.clock is None
+    times, clock = timed(stream, device)
+    assert clock.remark == f"the device clock runs {said}"
+    assert clock.estimate is None
     error = times - stream.truth
     assert error[after(stream, 10)].min() >= 0
     assert error.min() >= -2 * S
@@ -374,8 +376,8 @@ def test_a_wrong_unit_is_told_and_frames_have_arrival_times(
 
 def test_a_clock_that_stands_still() -> None:
     stream = send(bus(12, 30, 200))
-    times, stamper = stamped(stream, np.zeros(len(stream.truth), np.int64))
-    assert stamper.remark == (
+    times, clock = timed(stream, np.zeros(len(stream.truth), np.int64))
+    assert clock.remark == (
         "the device clock stands still or runs backwards; frames have arrival times"
     )
     assert ((times - stream.truth)[after(stream, 10)] >= 0).all()
@@ -383,8 +385,8 @@ def test_a_clock_that_stands_still() -> None:
 
 def test_a_clock_that_is_no_multiple_of_a_thousand_off() -> None:
     stream = send(bus(12, 30, 200))
-    _, stamper = stamped(stream, 5 * ticks(stream.truth))
-    assert stamper.remark == (
+    _, clock = timed(stream, 5 * ticks(stream.truth))
+    assert clock.remark == (
         "the device clock runs 5 times as fast as the host's; frames have arrival times"
     )
 
@@ -394,17 +396,17 @@ def test_a_remark_is_withdrawn_when_the_clock_runs_well() -> None:
     device = ticks(stream.truth)
     stood = ~after(stream, 20)
     device[stood] = device[0]
-    times, stamper = stamped(stream, device)
+    times, clock = timed(stream, device)
     assert np.abs((times - stream.truth)[after(stream, 40)]).max() < 4 * MS
-    assert known(stamper).frames > 1000
+    assert known(clock).frames > 1000
 
 
 def test_noise_only_has_arrival_times_and_no_estimate() -> None:
     stream = send(bus(14, 60, 200))
     device = np.random.default_rng(14).integers(0, 2**32, len(stream.truth)) * MS
-    times, stamper = stamped(stream, device)
+    times, clock = timed(stream, device)
     assert ((times >= stream.truth) & (times <= stream.read)).all()
-    assert (stamper.clock, stamper.remark) == (None, None)
+    assert (clock.estimate, clock.remark) == (None, None)
 
 
 @pytest.mark.parametrize("unit", ["ms", "us"])
@@ -418,9 +420,9 @@ def test_a_counter_that_wraps(unit: str) -> None:
     decoder = canser.Decoder("serial", ts_unit=unit)
     decoded = decoder.feed(canser.encode(frames, "serial", ts_unit=unit))
     assert decoder.stats.ts_wraps == 1
-    times, stamper = stamped(stream, decoded["ts"])
+    times, clock = timed(stream, decoded["ts"])
     assert np.abs((times - stream.truth)[after(stream, 5)]).max() < 4 * MS
-    assert known(stamper).restarts == 0
+    assert known(clock).restarts == 0
 
 
 @pytest.mark.parametrize("clocked", [False, True])
@@ -430,8 +432,8 @@ def test_it_does_not_matter_how_calls_are_cut(clocked: bool, batch: int) -> None
     device = ticks(stream.truth)
     device[::97] += 1000 * S
     device[after(stream, 30)] -= 50 * S
-    wanted, _ = stamped(stream, device if clocked else None)
-    times, _ = stamped(stream, device if clocked else None, batch=batch)
+    wanted, _ = timed(stream, device if clocked else None)
+    times, _ = timed(stream, device if clocked else None, batch=batch)
     assert np.array_equal(times, wanted)
 
 
@@ -447,33 +449,33 @@ STEPS = st.integers(0, 10**11) | st.sampled_from([0, MS, S])
 def test_whatever_comes_has_a_time_between_its_arrivals(
     clocked: bool, byte_ns: float, reads: list[tuple[int, int, str]], data: st.DataObject
 ) -> None:
-    stamper = Stamper(clocked, byte_ns, FRAME_MAX)
+    clock = FrameClock(clocked, byte_ns, FRAME_MAX)
     ends = np.cumsum([0] + [size for size, _, _ in reads])
     times = EPOCH + np.cumsum([0] + [step for _, step, _ in reads])
     starts = sorted(data.draw(st.sets(st.integers(0, int(ends[-1]) - 1))))
     clocks = data.draw(st.lists(st.integers(-(2**63), 2**63 - 2), min_size=1, max_size=5))
     cuts = sorted(data.draw(st.sets(st.integers(0, len(reads)), max_size=5)) | {0, len(reads)})
-    stamps: list[int] = []
+    got: list[int] = []
     for first, last in pairwise(cuts):
         for (_, _, gap), end, ns in zip(
             reads[first:last], ends[first + 1 :], times[first + 1 :], strict=False
         ):
             if gap == "g":
-                stamper.gap()
-            stamper.arrived(int(end), int(ns))
+                clock.gap()
+            clock.add_arrival(int(end), int(ns))
         offsets = np.array([s for s in starts if ends[first] <= s < ends[last]], np.int64)
         frames = np.zeros(len(offsets), FRAME_DTYPE)
         frames["ts"] = [clocks[int(offset) % len(clocks)] + int(offset) % 2 for offset in offsets]
-        stamper.stamp(frames, offsets, int(ends[last]))
-        stamps += frames["ts"].tolist()
-    assert len(stamps) == len(starts)
+        clock.assign_times(frames, offsets, int(ends[last]))
+        got += frames["ts"].tolist()
+    assert len(got) == len(starts)
     if not clocked:
-        assert stamps == sorted(stamps)
-    for start, stamp in zip(starts, stamps, strict=True):
+        assert got == sorted(got)
+    for start, time in zip(starts, got, strict=True):
         # No later than the read that holds the frame's last byte, and without a clock
         # no earlier than the read before its first byte's.
         latest = np.searchsorted(ends, min(start + FRAME_MAX, ends[-1]))
-        assert stamp <= times[latest]
+        assert time <= times[latest]
         earliest = np.searchsorted(ends, start + 1) - 1
         if not clocked and earliest > 0:
-            assert stamp >= times[earliest]
+            assert time >= times[earliest]

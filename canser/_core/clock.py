@@ -46,8 +46,8 @@ def find_lowest(values: Times, rank: int) -> int:
     return int(index[0])
 
 
-class Line:
-    """What a device's clock stands at, and the host times that follow.
+class ClockLine:
+    """The line from device times to host times: what a device's clock stands at.
 
     `early`: how far a device time may lie before those of the past, and a host time behind
     its arrival. `latest`: no host time lies before this one. See canser_times_map.
@@ -58,22 +58,22 @@ class Line:
         self._trust = ffi.new("canser_trust *", {"early": early})
         self._latest = ffi.new("int64_t *", latest)
 
-    def lay(self, device: int, host: int, drift: float) -> None:
+    def set(self, device: int, host: int, drift: float) -> None:
         """Have the host's time be `host` when the device's is `device`."""
         self._line.device, self._line.host, self._line.drift = device, host, drift
 
-    def pass_by(self, latest: int) -> None:
+    def floor_at(self, latest: int) -> None:
         """Let no host time come before this one."""
         self._latest[0] = latest
 
-    def find_heights(self, device: Times, arrivals: Times, heights: Times) -> None:
-        """Set `heights` to how far arrivals lie above the line."""
+    def find_residuals(self, device: Times, arrivals: Times, residuals: Times) -> None:
+        """Set `residuals` to how far arrivals lie above the line, in nanoseconds."""
         status = lib.canser_times_heights(
             self._line,
             ffi.from_buffer("int64_t[]", device),
             ffi.from_buffer("int64_t[]", arrivals),
-            len(heights),
-            ffi.from_buffer("int64_t[]", heights),
+            len(residuals),
+            ffi.from_buffer("int64_t[]", residuals),
         )
         if status:
             raise_status(status)

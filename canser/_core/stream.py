@@ -69,7 +69,7 @@ class Stream:
         self._cap = self._offset_cap = 0
         self.reset()
 
-    def aim(self, out: FrameArray, offsets: Offsets | None) -> None:
+    def set_output(self, out: FrameArray, offsets: Offsets | None) -> None:
         """Check the arrays that frames and offsets go to.
 
         They are mostly those of last time. Then that takes a tenth of the time: what may

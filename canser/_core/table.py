@@ -37,6 +37,11 @@ class Protocol:
     #: The packet that asks for the adapter's status; empty: there is none.
     status_request: bytes
 
+    @property
+    def configures(self) -> bool:
+        """Whether its adapters take a configuration."""
+        return bool(self.bitrates)
+
 
 def text(pointer: Pointer) -> str:
     """Return a text of C."""

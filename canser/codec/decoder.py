@@ -138,7 +138,7 @@ class Decoder(Uncopied):
         source = data if type(data) is bytes else input_bytes(data)
         stream = self._stream
         with self._lock:
-            stream.aim(out, offsets)
+            stream.set_output(out, offsets)
             count, controls, used = stream.feed(source, len(source))
             if controls:
                 return self._feed_on(input_bytes(data), out, offsets, used, count)
@@ -161,7 +161,7 @@ class Decoder(Uncopied):
         errors as in `feed_into`.
         """
         with self._lock:
-            self._stream.aim(out, offsets)
+            self._stream.set_output(out, offsets)
             # The bytes held are fewer than the room for control packets.
             count = self._stream.flush()
             self._keep_controls()

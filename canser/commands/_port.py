@@ -5,13 +5,15 @@ import re
 from typing import Final
 
 from canser import adapters
-from canser._protocols import TS_UNITS, protocols
+from canser._protocols import TS_UNITS, protocol, protocols
+from canser.adapters import AdapterConfig
 from canser.commands._numbers import duration, whole
 from canser.commands._parser import CallError, Parser, protocol_name
 from canser.errors import PortBusyError, PortDeniedError, PortNotFoundError
 from canser.live import ports
+from canser.live.config import LEVELS, LineConfig, flat_config
 from canser.live.ports import Port
-from canser.live.stream import Tap
+from canser.live.stream import OnBytes
 
 __all__ = ["open_port", "port_arguments", "staying_arguments"]
 
@@ -45,6 +47,14 @@ def port_arguments() -> argparse.ArgumentParser:
         type=whole(least=1, most=_BAUDRATE_MOST),
         help="of the line (default: the protocol's own)",
     )
+    for line, what in (("--dtr", "Data Terminal Ready"), ("--rts", "Request To Send")):
+        group.add_argument(
+            line,
+            choices=LEVELS,
+            default="leave",
+            help=f"the modem line {what} at opening; some boards reset, or do not send, by its "
+            "level (default: leave, as the system sets it: on)",
+        )
     group.add_argument(
         "--bitrate",
         type=whole(least=1),
@@ -54,26 +64,24 @@ def port_arguments() -> argparse.ArgumentParser:
     group.add_argument(
         "--mode",
         choices=adapters.MODE_NAMES,
-        default="normal",
         help="of the adapter, with --bitrate (default: normal)",
     )
     group.add_argument(
         "--frame-type",
         choices=adapters.FRAME_TYPES,
-        default="all",
         help="frames that the adapter passes on, with --bitrate (default: all)",
     )
     group.add_argument(
         "--adapter-filter",
         metavar="ID:MASK",
         type=_adapter_filter,
-        default=(0, 0),
         help="frames that the adapter passes on, with --bitrate; hexadecimal, such as 123:7FF "
         "(default: all)",
     )
     group.add_argument(
         "--once",
         action="store_true",
+        default=None,
         help="the adapter sends each frame once, acknowledged or not; with --bitrate",
     )
     group.add_argument(
@@ -106,39 +114,42 @@ def staying_arguments() -> argparse.ArgumentParser:
     return staying
 
 
-def open_port(args: argparse.Namespace, *, tap: Tap | None = None) -> Port:
+def open_port(args: argparse.Namespace, *, on_bytes: OnBytes | None = None) -> Port:
     """Open the port that the arguments name; CallError where that cannot be."""
-    filter_id, filter_mask = args.adapter_filter
-    settings = {
+    try:
+        return ports.open(
+            args.channel,
+            args.protocol,
+            config=_adapter_config(args),
+            line=LineConfig(
+                baudrate=args.baudrate,
+                dtr=args.dtr,
+                rts=args.rts,
+                ping=getattr(args, "ping", None),
+            ),
+            ts_unit=args.ts_unit,
+            reconnect=getattr(args, "reconnect", False),
+            on_bytes=on_bytes,
+        )
+    except (ValueError, PortNotFoundError, PortDeniedError, PortBusyError) as error:
+        raise CallError(str(error)) from None
+
+
+def _adapter_config(args: argparse.Namespace) -> AdapterConfig | None:
+    """Return how the adapter is to be configured; None if it is not to be."""
+    filter_id, filter_mask = args.adapter_filter or (None, None)
+    options = {
+        "bitrate": args.bitrate,
         "mode": args.mode,
         "frame_type": args.frame_type,
         "filter_id": filter_id,
         "filter_mask": filter_mask,
         "once": args.once,
     }
-    plain = settings == {
-        "mode": "normal",
-        "frame_type": "all",
-        "filter_id": 0,
-        "filter_mask": 0,
-        "once": False,
-    }
-    # An adapter that cannot be set has its bit rate from somewhere; it still tells the load.
-    told = plain and not adapters.configures(args.protocol)
-    try:
-        return ports.open(
-            args.channel,
-            args.protocol,
-            baudrate=args.baudrate,
-            bitrate=None if told else args.bitrate,
-            ts_unit=args.ts_unit,
-            reconnect=getattr(args, "reconnect", False),
-            ping=getattr(args, "ping", None),
-            tap=tap,
-            **settings,
-        )
-    except (ValueError, PortNotFoundError, PortDeniedError, PortBusyError) as error:
-        raise CallError(str(error)) from None
+    given = {name: value for name, value in options.items() if value is not None}
+    if given.keys() == {"bitrate"} and not protocol(args.protocol).configures:
+        return None  # The bitrate of an adapter that takes none is for the load of the bus only.
+    return flat_config(given)
 
 
 def _adapter_filter(text: str) -> tuple[int, int]:

@@ -33,10 +33,10 @@ _LOOK_S: Final = 0.1
 # A descriptor that does not block is tried again after this time.
 _RETRY_S: Final = 0.05
 
-# A status line is rewritten so often at most, in seconds; where it cannot be rewritten it
-# is a line of its own.
-_REWRITE: Final = 0.25
-_REPEAT: Final = 10.0
+# The time between two status lines at least: where a line can be rewritten, and where each is a
+# line of its own.
+_REWRITE_S: Final = 0.25
+_REPEAT_S: Final = 10.0
 
 _CLEAR: Final = "\r\x1b[K"
 
@@ -163,7 +163,7 @@ class StatusLine:
     def __init__(self, lines: Lines, fd: int | None) -> None:
         self._lines, self._fd = lines, fd
         self._terminal = fd is not None and os.isatty(fd)
-        self._every = _REWRITE if self._terminal else _REPEAT
+        self._every = _REWRITE_S if self._terminal else _REPEAT_S
         self._due = 0.0 if self._terminal else time.monotonic() + self._every
 
     @property

@@ -51,6 +51,7 @@ import numpy as np
 
 from canser import adapters
 from canser._frames import FRAME_DTYPE, FrameArray, match
+from canser._protocols import protocol
 from canser._signals import Stop, stop_on_signals
 from canser.commands import _report as report
 from canser.commands._numbers import byte_count, duration, whole
@@ -66,19 +67,19 @@ from canser.recording.recording import RecordingInfo
 
 __all__ = ["add"]
 
-# Frames that are taken at once, and how long they are waited for, in seconds.
+# The most frames that are taken at once, and how long they are waited for.
 _ROOM: Final = 4096
-_ROUND: Final = 0.2
+_ROUND_S: Final = 0.2
 
-# After the wish to stop, what is on its way is waited for: until nothing comes for the first
-# time, at most for the second.
-_QUIET: Final = 0.05
-_DRAIN: Final = 0.5
+# After the wish to stop, bytes on their way are waited for: until none come for _QUIET_S, and
+# for _DRAIN_S at most.
+_QUIET_S: Final = 0.05
+_DRAIN_S: Final = 0.5
 
-# Seconds between two status objects of --json.
-_EVERY: Final = 1.0
+# The time between two status objects of --json.
+_STATUS_EVERY_S: Final = 1.0
 
-_WINDOW: Final = 5.0  # seconds before and after a trigger, by default
+_WINDOW_S: Final = 5.0  # before and after a trigger, by default
 
 _SIZE_LEAST: Final = 100_000
 
@@ -177,7 +178,7 @@ def run(args: argparse.Namespace) -> int:
         with (
             _Teller(messages, as_json=args.json) as teller,
             warnings_as_lines(teller.warn),
-            open_port(args, tap=recorder.write) as port,
+            open_port(args, on_bytes=recorder.write) as port,
         ):
             ended = _Log(args, filters, port, recorder, teller).run(stop)
         if ended is not None:
@@ -188,13 +189,13 @@ def run(args: argparse.Namespace) -> int:
 def _recorder(args: argparse.Namespace) -> Recorder:
     window_ns = None
     if args.triggers:
-        before, after = (_WINDOW if s is None else s for s in (args.before, args.after))
+        before, after = (_WINDOW_S if s is None else s for s in (args.before, args.after))
         window_ns = int(before * 1e9), int(after * 1e9)
     elif args.before is not None or args.after is not None:
         raise CallError("--before and --after are about a trigger; name one with --trigger")
     info = RecordingInfo(
         protocol=args.protocol,
-        baudrate=args.baudrate or adapters.baudrate(args.protocol),
+        baudrate=args.baudrate or protocol(args.protocol).baudrate,
         bitrate=args.bitrate,
         ts_unit=args.ts_unit,
         device=args.channel,
@@ -230,7 +231,7 @@ class _Teller:
         self._lines = self._objects or messages
         # None where machines read.
         self.status = None if as_json else StatusLine(messages, sys.stderr.fileno())
-        self._due = time.monotonic() + _EVERY
+        self._due = time.monotonic() + _STATUS_EVERY_S
 
     def __enter__(self) -> Self:
         return self
@@ -278,7 +279,7 @@ class _Teller:
         """Tell machines."""
         if kind == "status":
             # By the clock, not by when the last one was late.
-            self._due = max(self._due + _EVERY, time.monotonic())
+            self._due = max(self._due + _STATUS_EVERY_S, time.monotonic())
         line = json.dumps({"type": kind, "time": round(ts / 1e9, 6), **facts})
         self._lines.put(line, last=kind == "end")
 
@@ -344,17 +345,17 @@ class _Log:
     def _follow(self, stop: Stop) -> None:
         end = None if self._duration is None else self._begin + self._duration
         while not stop:
-            left = _ROUND if end is None else end - time.monotonic()
+            left = _ROUND_S if end is None else end - time.monotonic()
             if left <= 0:
                 return
-            self._read(min(left, _ROUND))
+            self._read(min(left, _ROUND_S))
             if self._teller.due:
                 self._tell_status()
         # What the line has delivered until now may wait in the system, or in the ring.
-        end = time.monotonic() + _DRAIN
+        end = time.monotonic() + _DRAIN_S
         while True:
             before, left = self._recorder.bytes_in, end - time.monotonic()
-            self._read(_QUIET if left > 0 else 0)
+            self._read(_QUIET_S if left > 0 else 0)
             after = self._recorder.bytes_in
             # Not between a byte that is recorded and the frame that it belongs to.
             if after == self._port.decoder.position and (after == before or left <= 0):

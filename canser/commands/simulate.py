@@ -38,8 +38,8 @@ from canser.simulation.traffic import vehicle
 
 __all__ = ["add"]
 
-# The traffic that is made goes round in this many seconds.
-_ROUND = 60.0
+# The traffic that is made is this long, and repeats.
+_ROUND_S = 60.0
 
 # Its frames are handed on so many at once: a copy takes less than a tenth of a millisecond.
 _PART = 4096
@@ -236,7 +236,7 @@ def _traffic(args: argparse.Namespace) -> tuple[FrameArray | Iterable[FrameArray
             raise CallError("--loop repeats a file: name it with --traffic, or leave --loop out")
         ext = _carries_extended(args.protocol)
         if args.seconds is None:
-            return vehicle(_ROUND, extended=ext), True
+            return vehicle(_ROUND_S, extended=ext), True
         return _made(args.seconds, extended=ext), False
     if args.seconds is not None:
         raise CallError("--seconds is for traffic that is made; leave it out, or --traffic")
@@ -248,14 +248,14 @@ def _traffic(args: argparse.Namespace) -> tuple[FrameArray | Iterable[FrameArray
 def _made(seconds: float, *, extended: bool) -> Iterator[FrameArray]:
     """Make a vehicle's traffic, a round at a time."""
     # All that takes long is done before the first frame: what is due must not wait for it.
-    rounds, rest = divmod(seconds, _ROUND)
-    whole = vehicle(_ROUND if rounds else 0, extended=extended)
+    rounds, rest = divmod(seconds, _ROUND_S)
+    whole = vehicle(_ROUND_S if rounds else 0, extended=extended)
     last = vehicle(rest, extended=extended)
     for number in range(int(rounds) + 1):
         made = whole if number < rounds else last
         for start in range(0, len(made), _PART):
             frames = made[start : start + _PART].copy()
-            frames["ts"] += int(number * _ROUND * 1e9)
+            frames["ts"] += int(number * _ROUND_S * 1e9)
             yield frames
 
 

@@ -23,6 +23,7 @@ from canser.errors import (
     PortGoneError,
     PortNotFoundError,
 )
+from canser.live.config import LineConfig
 
 if sys.platform != "win32":
     import fcntl
@@ -31,11 +32,11 @@ if sys.platform != "win32":
 
 __all__ = ["Line", "open_line"]
 
-# Seconds in which a TCP connection must come about.
-_CONNECT_PATIENCE: Final = 5.0
+# A TCP connection must come about within this time.
+_CONNECT_TIMEOUT_S: Final = 5.0
 
-# Lines without a descriptor cannot be woken: so often they look whether they shall end.
-_LOOK_EVERY: Final = 0.1
+# A read of a line without a descriptor cannot be woken. It looks this often whether it must end.
+_LOOK_EVERY_S: Final = 0.1
 
 
 class Line(Protocol):
@@ -58,15 +59,15 @@ class Line(Protocol):
         """Let a `read_into` of another thread return at once."""
 
     def close(self) -> None:
-        """Close the line; nobody may be in `read_into`."""
+        """Close the line; no thread may be in `read_into`."""
 
 
-def open_line(url: str, baudrate: int, *, flush: bool = False) -> Line:
+def open_line(url: str, config: LineConfig) -> Line:
     """Open a line by a URL of pyserial's, 8N1, raw, exclusive.
 
-    Bytes that wait there already stay, unless `flush`. PortNotFoundError,
-    PortDeniedError, PortBusyError, PortError; ValueError for a URL or a baud rate that
-    makes no sense.
+    `config`: with a baud rate. Its `ring_size` and `ping` do not matter here.
+    PortNotFoundError, PortDeniedError, PortBusyError, PortError; ValueError for a URL or a
+    baud rate that makes no sense.
     """
     if not url:
         raise PortNotFoundError("url is empty: no port has that name; 'canser ports' lists some")
@@ -74,9 +75,14 @@ def open_line(url: str, baudrate: int, *, flush: bool = False) -> Line:
     server = _server(url) if scheme in _OVER_TCP else None
     if scheme == "socket":
         assert server is not None
+        if names := " and ".join(_levels(config)):
+            raise ValueError(
+                f"{url} carries no modem lines, so {names} cannot be set; "
+                f"use rfc2217://, or leave {names} out"
+            )
         source: Any = _connect(url, *server)
     else:
-        source = _open_serial(url, baudrate, flush=flush)
+        source = _open_serial(url, config)
         if not _has_descriptor(source):
             return _Serial(source, url)
     try:
@@ -89,7 +95,7 @@ def open_line(url: str, baudrate: int, *, flush: bool = False) -> Line:
         return _Descriptor(source, url)
     except (OSError, termios_error) as error:  # it may vanish at any time
         source.close()
-        raise _open_error(url, baudrate, error) from None
+        raise _open_error(url, config.baudrate, error) from None
     except BaseException:
         source.close()
         raise
@@ -115,19 +121,20 @@ def _server(url: str) -> tuple[str, int]:
 
 def _connect(url: str, host: str, number: int) -> socket.socket:
     try:
-        return socket.create_connection((host, number), timeout=_CONNECT_PATIENCE)
+        return socket.create_connection((host, number), timeout=_CONNECT_TIMEOUT_S)
     except OSError as error:
         raise PortNotFoundError(
             f"nobody answers at {url}: {error.strerror or error}; is the server running?"
         ) from None
 
 
-def _open_serial(url: str, baudrate: int, *, flush: bool) -> Any:
+def _open_serial(url: str, config: LineConfig) -> Any:
     import serial  # noqa: PLC0415 - imported where it is used
 
+    assert config.baudrate is not None  # `canser.open` has set it
     try:
         port: Any = serial.serial_for_url(
-            url, do_not_open=True, baudrate=baudrate, timeout=_LOOK_EVERY, exclusive=True
+            url, do_not_open=True, baudrate=config.baudrate, timeout=_LOOK_EVERY_S, exclusive=True
         )
     except serial.SerialException as error:  # hwgrep:// has looked for the port already
         raise PortNotFoundError(
@@ -135,15 +142,36 @@ def _open_serial(url: str, baudrate: int, *, flush: bool) -> Any:
         ) from None
     # Each kind of URL reads its options in a way of its own, and raises what comes of that.
     except Exception as error:  # noqa: BLE001
-        raise ValueError(f"cannot open {url!r} at {baudrate} baud: {_text(error)}") from None
-    if not flush:
+        raise ValueError(f"cannot open {url!r} at {config.baudrate} baud: {_text(error)}") from None
+    if not config.flush:
         # Opening throws away what waits there; these are what it calls for that.
         port.reset_input_buffer = port._reset_input_buffer = _nothing
+    levels = _levels(config)
+    for name, level in levels.items():
+        setattr(port, name, level)  # before it is open: then a line is never at the other level
     try:
         port.open()
     except Exception as error:  # noqa: BLE001 - as above
-        raise _open_error(url, baudrate, error) from None
+        raise _open_error(url, config.baudrate, error) from None
+    try:
+        # Opening passes in silence over modem lines that are not there; setting them does not.
+        for name, level in levels.items():
+            setattr(port, name, level)
+    except OSError as error:
+        port.close()
+        if error.errno not in (errno.ENOTTY, errno.EINVAL):
+            raise _open_error(url, config.baudrate, error) from None
+        raise ValueError(
+            f"{url} has no modem lines (pseudo terminals have none), so {name} cannot be set; "
+            f"leave {name} out"
+        ) from None
     return port
+
+
+def _levels(config: LineConfig) -> dict[str, bool]:
+    """Return the modem lines that are to be set, and whether on."""
+    asked = {"dtr": config.dtr, "rts": config.rts}
+    return {name: level == "on" for name, level in asked.items() if level != "leave"}
 
 
 def _nothing() -> None:
@@ -153,7 +181,7 @@ def _nothing() -> None:
 termios_error: Final[type[Exception]] = termios.error if sys.platform != "win32" else OSError
 
 
-def _open_error(url: str, baudrate: int, error: Exception) -> Exception:
+def _open_error(url: str, baudrate: int | None, error: Exception) -> Exception:
     """Return the error of this package for one of the system or pyserial."""
     number = _number(error)
     kind: type[Exception] = PortError
@@ -241,7 +269,7 @@ def _group_hint(path: str) -> str:
 
 
 def _has_descriptor(port: Any) -> bool:
-    """Return whether a port reads from a descriptor, and nobody wants to see what."""
+    """Return whether pyserial itself reads the port from a descriptor; spy:// for one does not."""
     import serial  # noqa: PLC0415
 
     return sys.platform != "win32" and type(port).read is serial.Serial.read
@@ -296,13 +324,13 @@ def _claim(fd: int) -> None:
                 fcntl.ioctl(fd, termios.TIOCEXCL)
 
 
-# A read that gives so much is followed by another, up to so many bytes at a time: they
-# get one time of arrival, and so the sum is small against what anybody can tell apart.
+# A read that gives _MUCH bytes or more is followed by another, up to _BURST bytes in all. They
+# get one time of arrival.
 _MUCH: Final = 4000
 _BURST: Final = 1 << 16
 
-# Behind a read that gave so much there is mostly more by the time of the next: it is not
-# asked for first.
+# After a read that gave this many bytes there are mostly more by the next one. So that one reads
+# at once, and does not poll first.
 _SOME: Final = 1024
 
 # poll() takes no longer time, in milliseconds: an int of C.
@@ -416,7 +444,7 @@ class _Serial:
         deadline = None if timeout is None else time.monotonic() + timeout
         while not self._awake:
             try:
-                # What is there, or the first byte that comes within _LOOK_EVERY.
+                # What is there, or the first byte that comes within _LOOK_EVERY_S.
                 data = self._port.read(max(1, min(self._port.in_waiting, len(room))))
             except (OSError, TypeError) as error:  # TypeError: closed meanwhile
                 data = _left_behind(self._port, len(room))

@@ -9,8 +9,8 @@ from canser._frames import FrameArray
 
 __all__ = ["Meter", "Rates", "bus_bits"]
 
-# Seconds over which rates are taken.
-_SPAN: Final = 1.0
+# Rates are those of this time until now.
+_SPAN_S: Final = 1.0
 
 # Bits of a frame without its data, with the pause of three bits behind it (CAN 2.0, 3.1): start 1,
 # identifier and control bits 18 or 38, CRC 16, acknowledgement 2, end 7, pause 3.
@@ -44,7 +44,7 @@ class Rates(NamedTuple):
 class Meter:
     """Count what comes, and tell its rates over the last second.
 
-    `bitrate`: of the CAN bus in bit/s, None where nobody knows it. Times are seconds of any
+    `bitrate`: of the CAN bus in bit/s, None if it is unknown. Times are seconds of any
     clock that does not step.
     """
 
@@ -59,7 +59,7 @@ class Meter:
         self.frames += len(frames)
         self.bits += bus_bits(frames)
         self._samples.append((now, self.frames, bytes_in, self.bits))
-        while len(self._samples) > 2 and self._samples[1][0] <= now - _SPAN:
+        while len(self._samples) > 2 and self._samples[1][0] <= now - _SPAN_S:
             self._samples.popleft()
 
     def rates(self) -> Rates:

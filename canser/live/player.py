@@ -14,22 +14,22 @@ __all__ = ["Lateness", "Played", "play"]
 
 _Times = npt.NDArray[np.int64]
 
-_MS: Final = 1_000_000
+_MS_NS: Final = 1_000_000
 
 # Frames that are due this soon go out with those that are due: a write for each would cost more
 # than it gains, and what brings them to the bus puts in as much.
-_AHEAD_NS: Final = 1 * _MS
+_AHEAD_NS: Final = 1 * _MS_NS
 
-# So many frames at once at most: those behind them are sent after a look at the clock.
-_BATCH: Final = 256
+# The most frames that are sent at once. Those behind them are sent after a look at the clock.
+_BATCH_FRAMES: Final = 256
 
-# A wish to end is heeded within this time, in seconds.
-_LOOK: Final = 0.1
+# A wish to end is heeded within this time.
+_LOOK_S: Final = 0.1
 
 # Steps of the recorded time that are no disorder among frames: back, the clock of a device that
 # has started anew, or the next of several recordings; forward, a false time out of noise.
-_BACK_NS: Final = 1_000 * _MS
-_FORWARD_NS: Final = 3_600_000 * _MS
+_BACK_NS: Final = 1_000 * _MS_NS
+_FORWARD_NS: Final = 3_600_000 * _MS_NS
 
 # Bins of 10 microseconds, up to a second and what is beyond.
 _BIN_NS: Final = 10_000
@@ -178,10 +178,10 @@ def _batches(frames: FrameArray, begin: int) -> Iterator[FrameArray]:
         now = time.monotonic_ns() - begin
         ready = int(np.searchsorted(frames["ts"], now + _AHEAD_NS, side="right"))
         if ready > at:
-            stop = min(ready, at + _BATCH)
+            stop = min(ready, at + _BATCH_FRAMES)
             yield frames[at:stop]
             at = stop
             continue
         yield frames[:0]
         left = (int(frames["ts"][at]) - (time.monotonic_ns() - begin)) / 1e9
-        time.sleep(min(max(left, 0), _LOOK))
+        time.sleep(min(max(left, 0), _LOOK_S))

@@ -2,7 +2,6 @@
 
 import contextlib
 import functools
-import math
 import os
 import sys
 import threading
@@ -10,13 +9,14 @@ import time
 import warnings
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator
-from typing import Any, Final, NamedTuple, Self, TypeVar
+from dataclasses import replace
+from typing import Final, NamedTuple, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from canser import adapters
-from canser._checks import flag, real, text, whole
+from canser._checks import flag, instance, text, whole
 from canser._checks import timeout as check_timeout
 from canser._core.buffers import BytesLike, as_bytes, input_frames, output_frames
 from canser._core.table import find_protocol
@@ -24,129 +24,126 @@ from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_r
 from canser._guards import Uncopied
 from canser._items import FrameItems
 from canser._items import frames as make_frames
-from canser.adapters import AdapterReport
+from canser.adapters import AdapterConfig, AdapterReport
 from canser.codec.decoder import Control, Decoder, Stats, decode, encode
 from canser.errors import PortClosedError, PortError, SendError, SendTimeoutError
+from canser.live.config import LineConfig, adapter_config
 from canser.live.line import Line, open_line
-from canser.live.link import NO_MORE, Link
+from canser.live.reader import NO_MORE, LineReader
 from canser.live.ring import Gap, Ring
-from canser.live.stream import LiveStream, Tap
-from canser.timing.clocks import ClockEstimate, Stamper
+from canser.live.stream import LiveStream, OnBytes
+from canser.timing.clocks import ClockEstimate, FrameClock
 
 __all__ = ["Gap", "Port", "PortInfo", "list_ports", "open"]
 
 _T = TypeVar("_T")
 
 # Bits of a byte on the line, with its start and stop bit.
-_BITS: Final = 10
+_BYTE_BITS: Final = 10
 
-# The adapter's document asks for a pause after its configuration, in seconds.
-_SETTLE: Final = 0.1
+# The pause after a configuration that the adapter's document asks for.
+_SETTLE_S: Final = 0.1
 
-# Frames that are due within so many seconds, at the rate of those before, come soon.
-_SOON: Final = 0.02
+# Frames come soon if they are due within this time, at the rate of those before.
+_SOON_S: Final = 0.02
 
-# Who waits for a status lets others read after so many seconds.
-_TURN: Final = 0.02
-
-# A ring smaller than what a terminal gives at once would lose bytes of any reader.
-_RING_LEAST: Final = 1 << 16
+# A call that waits for a status reads for this time, and then lets other threads read.
+_TURN_S: Final = 0.02
 
 
 def open(  # noqa: A001 - the name that the interface has, used as canser.open
     url: str,
     protocol: str,
     *,
-    baudrate: int | None = None,
     bitrate: int | None = None,
-    mode: str = "normal",
-    frame_type: str = "all",
-    filter_id: int = 0,
-    filter_mask: int = 0,
-    once: bool = False,
+    config: AdapterConfig | None = None,
+    line: LineConfig | None = None,
     ts_unit: str = "ms",
     device_time: bool = False,
-    ring_size: int = 8 << 20,
-    flush: bool = False,
     reconnect: bool = False,
-    ping: float | None = None,
-    tap: Tap | None = None,
+    on_bytes: OnBytes | None = None,
 ) -> "Port":
-    """Open a live port.
+    """Open a live port: raw, exclusively, and with a thread that reads it.
 
-    `url`: whatever pyserial opens: a device, a pseudo terminal, `socket://host:port`,
-    `rfc2217://host:port`, `loop://`. `baudrate`: of the line; by default the protocol's own.
-    The line is opened raw and exclusively; bytes that wait there stay, unless `flush`.
+    Parameters
+    ----------
+    url : str
+        Whatever pyserial opens: a device, a pseudo terminal, `socket://host:port`,
+        `rfc2217://host:port`, `loop://`.
+    protocol : str
+        What the adapter speaks: a name of `canser.protocols()` or an accepted spelling.
+    bitrate : int, optional
+        Of the CAN bus in bit/s. The adapter is configured to it when it is opened.
+    config : AdapterConfig, optional
+        The whole configuration of the adapter, instead of `bitrate`. Without both of them the
+        adapter is left as it is.
+    line : LineConfig, optional
+        The serial line; by default `LineConfig()`.
+    ts_unit : {"ms", "us", "ns", "s"}, default "ms"
+        Unit of the device's clock, as for `Decoder`.
+    device_time : bool, default False
+        Whether frames keep the times of the device's clock, unwrapped, in nanoseconds, and get
+        no host times.
+    reconnect : bool, default False
+        Whether to wait for a device that is gone, and to go on. The gap is reported.
+    on_bytes : callable, optional
+        Is given all bytes as they came, before their frames are returned:
+        `on_bytes(data, arrival_ns, lost)`. `data` is a memoryview, good until the call returns;
+        `arrival_ns` is in epoch nanoseconds; `lost` bytes are missing before it, -1 if their
+        number is unknown.
 
-    `bitrate`: of the CAN bus in bit/s; the adapter is then configured, with `mode`,
-    `frame_type`, `filter_id`, `filter_mask` and `once` as in `adapters.configuration`.
-    `ts_unit`: of the device's clock, as for `Decoder`. `device_time`: frames keep the times of
-    that clock, unwrapped, and get no host times.
-    `ring_size`: bytes that are kept for a slow reader. `reconnect`: wait for a device that is
-    gone, and go on. `ping`: seconds between pings of the watchdog, where the protocol has it.
-    `tap`: is given all bytes as they came, `tap(data, arrival_ns, lost)`, before their frames
-    are returned; `data` is good until it returns; `lost` bytes are missing before it (-1: not
-    known how many).
+    Returns
+    -------
+    Port
+        The open port, a context manager.
 
-    ValueError and TypeError for the caller's mistakes; PortNotFoundError,
-    PortDeniedError, PortBusyError, PortError for a port that cannot be opened.
+    Raises
+    ------
+    TypeError, ValueError
+        For an argument that is wrong.
+    PortNotFoundError, PortDeniedError, PortBusyError, PortError
+        For a port that cannot be opened.
+
+    Examples
+    --------
+    >>> with canser.open("loop://", "seeed") as port:
+    ...     port.send(canser.decode(bytes.fromhex("aac12301ff55"), "seeed"))
+    ...     port.read_batch()["id"]
+    1
+    array([291], dtype=uint32)
     """
     text(url, "url", "'/dev/ttyUSB0'")
     row = find_protocol(protocol)
-    settings: dict[str, Any] = {
-        "mode": mode,
-        "frame_type": frame_type,
-        "filter_id": filter_id,
-        "filter_mask": filter_mask,
-        "once": once,
-    }
-    greeting = b""
-    if bitrate is not None:
-        greeting = adapters.configuration(row.name, bitrate=bitrate, **settings)
-    elif settings != _UNSET:
-        raise ValueError("the adapter is configured as a whole: give its bitrate, too")
-    rate = adapters.baudrate(row.name)
-    if baudrate is not None:
-        rate = whole(baudrate, "baudrate", "115200", least=1)
-    if flag(device_time, "device_time") and not row.has_clock:
-        raise ValueError(f"{row.name} frames carry no device time; leave device_time out")
-    if ping is not None and not adapters.ping(row.name):
+    line = LineConfig() if line is None else instance(line, "line", LineConfig)
+    if line.baudrate is None:
+        line = replace(line, baudrate=row.baudrate)
+    if line.ping is not None and not row.ping:
         raise ValueError(f"{row.name} adapters know no ping; leave ping out")
-    if ping is not None and not 0 < real(ping, "ping", "1.0") < math.inf:
-        raise ValueError(f"ping is {ping}; it must be more than 0 seconds, and not infinite")
-    if tap is not None and not callable(tap):
-        raise TypeError(f"tap is {tap!r}; it must be a function of data, arrival_ns and lost")
+    device_time = flag(device_time, "device_time")
+    if device_time and not row.has_clock:
+        raise ValueError(f"{row.name} frames carry no device time; leave device_time out")
+    if on_bytes is not None and not callable(on_bytes):
+        raise TypeError(
+            f"on_bytes is {on_bytes!r}; it must be a function of data, arrival_ns and lost"
+        )
     return Port(
         url,
         Decoder(row.name, ts_unit=ts_unit),
-        baudrate=rate,
-        bitrate=bitrate,
+        line,
+        adapter_config(bitrate, config),
         ts_unit=ts_unit,
         device_time=device_time,
-        ring_size=whole(ring_size, "ring_size", "8 << 20", least=_RING_LEAST),
-        flush=flag(flush, "flush"),
         reconnect=flag(reconnect, "reconnect"),
-        ping=None if ping is None else float(ping),
-        tap=tap,
-        greeting=greeting,
+        on_bytes=on_bytes,
     )
-
-
-_UNSET: Final = {
-    "mode": "normal",
-    "frame_type": "all",
-    "filter_id": 0,
-    "filter_mask": 0,
-    "once": False,
-}
 
 
 class Port(Uncopied):
     """A live port, made by `open`; a context manager.
 
-    A thread drains the line into a ring of raw bytes; whoever reads decodes them, straight into
-    the array that is returned. Several threads may read: each frame goes to one of them.
-    Frames have host times, epoch nanoseconds of a clock that does not step: by the device
+    A thread drains the line into a ring of raw bytes. The thread that reads the port decodes them,
+    straight into the array that is returned. Several threads may read: each frame goes to one of
+    them. Frames have host times, epoch nanoseconds of a clock that does not step: by the device
     clock where the protocol has one, else when the last byte came. (Opened with
     `device_time` they have the times of the device's own clock.)
     """
@@ -155,57 +152,56 @@ class Port(Uncopied):
         self,
         url: str,
         decoder: Decoder,
+        line: LineConfig,
+        config: AdapterConfig | None,
         *,
-        baudrate: int,
-        bitrate: int | None,
         ts_unit: str,
         device_time: bool,
-        ring_size: int,
-        flush: bool,
         reconnect: bool,
-        ping: float | None,
-        tap: Tap | None,
-        greeting: bytes,
+        on_bytes: OnBytes | None,
     ) -> None:
         self._closed, self._pid = True, os.getpid()  # until it is open
-        self.url, self.decoder = url, decoder
-        self.protocol, self.baudrate, self.bitrate = decoder.protocol, baudrate, bitrate
-        row = find_protocol(decoder.protocol)
+        self.url, self.decoder, self.protocol = url, decoder, decoder.protocol
+        config_packet = b"" if config is None else adapters.configuration(self.protocol, config)
+        self.bitrate = None if config is None else config.bitrate
+        assert line.baudrate is not None  # `open` has set it
+        self.baudrate = line.baudrate
+        row = find_protocol(self.protocol)
         self._ts_unit, self._clocked, self._frame_min = ts_unit, row.has_clock, row.frame_min
         self._clock = host_clock()
         self._opened_ns = self._clock()
         try:
-            self._ring = Ring(ring_size)
+            self._ring = Ring(line.ring_size)
         except (MemoryError, OverflowError):
             raise ValueError(
-                f"ring_size is {ring_size}; it must be bytes that the system has memory for"
+                f"ring_size is {line.ring_size}; it must be bytes that the system has memory for"
             ) from None
-        stamper = Stamper(row.has_clock, _BITS * 1e9 / baudrate, row.frame_max)
-        self._ping_s = ping or 0.0
+        frame_clock = FrameClock(row.has_clock, _BYTE_BITS * 1e9 / self.baudrate, row.frame_max)
+        self._ping_s = line.ping or 0.0
         self._stream = LiveStream(
             url,
             self._ring,
             decoder,
-            stamper,
-            tap=tap,
+            frame_clock,
+            on_bytes=on_bytes,
             ping_s=self._ping_s,
             device_time=device_time,
         )
         self._reading = threading.RLock()
         # Decoded in a call that returned no frames: an exception, or the wait for a status.
-        self._stash: deque[FrameArray] = deque()
+        self._pending_frames: deque[FrameArray] = deque()
         self._held = False  # what `hold_ready` was told
         # Nothing in the thread may hold the port: it would never be collected.
-        self._greeting = _Greeting(greeting)
-        self._link = Link(
+        self._connect = _Connect(url, line, config_packet)
+        self._reader = LineReader(
             url,
-            _Connect(url, baudrate, self._greeting, flush=flush),
+            self._connect,
             self._ring,
             self._clock,
-            byte_s=_BITS / baudrate,
+            byte_s=_BYTE_BITS / self.baudrate,
             reconnect=reconnect,
-            beat=adapters.ping(decoder.protocol) if ping is not None else b"",
-            beat_s=self._ping_s,
+            heartbeat=row.ping if line.ping is not None else b"",
+            heartbeat_s=self._ping_s,
         )
         self._closed = False
 
@@ -244,7 +240,7 @@ class Port(Uncopied):
 
         PortGoneError when the device is gone, after all frames that came before;
         PortClosedError when the port is or gets closed. Errors of `out` as for
-        `Decoder.feed_into`. After another exception, of `tap` or Ctrl-C, the next call
+        `Decoder.feed_into`. After another exception, of `on_bytes` or Ctrl-C, the next call
         returns what this one had.
         """
         self._check_open()
@@ -259,7 +255,7 @@ class Port(Uncopied):
             finally:
                 self._reading.release()
         batch = room[:count]
-        # A batch that is far from full would hold memory that nobody uses.
+        # A batch that is far from full would hold memory that is not used.
         return copy_records(batch) if out is None and count < len(room) // 2 else batch
 
     def batches(
@@ -329,7 +325,7 @@ class Port(Uncopied):
     def hold_ready(self, held: bool) -> None:
         """Keep that descriptor readable, for a caller who has frames left to hand on."""
         self._held = held
-        self._ring.hold_ready(held or bool(self._stash))
+        self._ring.hold_ready(held or bool(self._pending_frames))
 
     def take_controls(self) -> list[Control]:
         """Return the control packets since the last call, oldest first: offset and bytes.
@@ -363,7 +359,7 @@ class Port(Uncopied):
 
         With `device_time` nothing is.
         """
-        return self._stream.stamper.clock
+        return self._stream.frame_clock.estimate
 
     @property
     def status(self) -> AdapterReport | None:
@@ -402,11 +398,11 @@ class Port(Uncopied):
                 frames["ts"][unknown] = self._clock() - self._opened_ns
         raw = encode(frames, self.protocol, ts_unit=self._ts_unit)
 
-        def lacks(written: int) -> int:
+        def missing(written: int) -> int:
             ends = self._ends(raw)
             return int(ends[np.searchsorted(ends, written)]) - written
 
-        written, why = self._link.write(raw, timeout, lacks)
+        written, why = self._reader.write(raw, timeout, missing)
         if not why:
             return len(frames)
         whole = int(np.searchsorted(self._ends(raw), written, side="right"))
@@ -421,7 +417,7 @@ class Port(Uncopied):
         self._check_open()
         timeout = check_timeout(timeout)
         raw = as_bytes(data).tobytes()
-        written, why = self._link.write(raw, timeout, lambda _: 0)
+        written, why = self._reader.write(raw, timeout, lambda _: 0)
         if why:
             kind = SendTimeoutError if why == NO_MORE else SendError
             raise kind(f"{self.url}: {why}; {written} of {len(raw)} bytes were sent", 0, why)
@@ -435,10 +431,10 @@ class Port(Uncopied):
         timeout = check_timeout(timeout)
         deadline = _deadline(timeout)
         # What is left of a frame that a time-out of `send` has cut.
-        _, why = self._link.write(b"", timeout, lambda _: 0)
+        _, why = self._reader.write(b"", timeout, lambda _: 0)
         while True:
             self._check_open()
-            held = self._link.unwritten()
+            held = self._reader.unwritten()
             if why:
                 return False
             if not held:
@@ -446,7 +442,7 @@ class Port(Uncopied):
             if deadline is not None and time.monotonic() >= deadline:
                 return False
             # As long as the line needs for it, but for not longer than one notices.
-            time.sleep(min(max(held * _BITS / self.baudrate, 0.0005), 0.02))
+            time.sleep(min(max(held * _BYTE_BITS / self.baudrate, 0.0005), 0.02))
 
     @property
     def bytes_unsent(self) -> int:
@@ -456,36 +452,36 @@ class Port(Uncopied):
         when the device is gone.
         """
         self._check_open()
-        return self._link.unwritten()
+        return self._reader.unwritten()
 
     # The adapter's own commands
 
-    def configure(
-        self,
-        *,
-        bitrate: int,
-        mode: str = "normal",
-        frame_type: str = "all",
-        filter_id: int = 0,
-        filter_mask: int = 0,
-        once: bool = False,
-    ) -> None:
-        """Configure the adapter, as `open` does; takes a tenth of a second.
+    def configure(self, config: AdapterConfig | None = None, *, bitrate: int | None = None) -> None:
+        """Configure the adapter, as `canser.open` does. Takes 0.1 s.
 
-        ValueError as `adapters.configuration`, SendError if the line does not take it.
+        Parameters
+        ----------
+        config : AdapterConfig, optional
+            How the adapter is to work.
+        bitrate : int, optional
+            Of the CAN bus in bit/s, instead of `config`; all else is as in `AdapterConfig`.
+
+        Raises
+        ------
+        TypeError
+            For an argument of another type.
+        ValueError
+            Without `config` and `bitrate`, with both, or as `adapters.configuration`.
+        SendError
+            If the line does not take the configuration.
         """
-        greeting = adapters.configuration(
-            self.protocol,
-            bitrate=bitrate,
-            mode=mode,
-            frame_type=frame_type,
-            filter_id=filter_id,
-            filter_mask=filter_mask,
-            once=once,
-        )
-        self.send_raw(greeting)
-        self._greeting.data, self.bitrate = greeting, bitrate
-        time.sleep(_SETTLE)
+        config = adapter_config(bitrate, config)
+        if config is None:
+            raise ValueError("bitrate is missing; give bitrate or config")
+        packet = adapters.configuration(self.protocol, config)
+        self.send_raw(packet)
+        self._connect.config_packet, self.bitrate = packet, config.bitrate
+        time.sleep(_SETTLE_S)
 
     def request_status(self, *, timeout: float | None = 1.0) -> AdapterReport:
         """Ask the adapter for its status, and return the answer.
@@ -493,7 +489,7 @@ class Port(Uncopied):
         Frames that come meanwhile are returned by the next reads. ValueError where the
         protocol knows no status; PortError when no answer comes.
         """
-        request = adapters.status_request(self.protocol)
+        request = find_protocol(self.protocol).status_request
         if not request:
             raise ValueError(f"{self.protocol} adapters know no status request")
         deadline = _deadline(timeout)
@@ -506,10 +502,10 @@ class Port(Uncopied):
                     f"{self.url} did not answer the status request within {timeout:g} s; "
                     "is it this kind of adapter?"
                 )
-            # Somebody else who reads finds the answer, too.
-            if self._take_turn(_sooner(deadline, _TURN)):
+            # Another thread that reads finds the answer, too.
+            if self._take_turn(_sooner(deadline, _TURN_S)):
                 try:
-                    self._read_ahead(_sooner(deadline, _TURN))
+                    self._read_ahead(_sooner(deadline, _TURN_S))
                 finally:
                     self._reading.release()
         return status
@@ -525,7 +521,7 @@ class Port(Uncopied):
         if self._pid != os.getpid():
             return  # the parent's: its thread is not here, and its line stays open
         self._ring.close(PortClosedError(f"{self.url} is closed"))
-        self._link.close()
+        self._reader.close()
 
     # Inside
 
@@ -539,13 +535,13 @@ class Port(Uncopied):
             )
 
     def _take_turn(self, deadline: float | None) -> bool:
-        """Become the one who reads; False after the deadline."""
+        """Become the thread that reads; False after the deadline."""
         left = -1.0 if deadline is None else max(deadline - time.monotonic(), 0)
         return self._reading.acquire(timeout=left)
 
     def _read_into(self, room: FrameArray, min_frames: int, deadline: float | None) -> int:
         """Read as `read_batch` does, return how many frames `room` has then."""
-        count = self._stream.filled = self._unstash(room)
+        count = self._stream.filled = self._take_pending(room)
         begin, start = time.monotonic(), self.decoder.position
         try:
             while True:
@@ -566,7 +562,7 @@ class Port(Uncopied):
                     now = time.monotonic()
                     soon = now + (now - begin) * missing / count
                     if (
-                        soon < now + _SOON
+                        soon < now + _SOON_S
                         and (deadline is None or soon < deadline)
                         and self._wait(max(missing * came // count, 1), soon)
                     ):
@@ -576,7 +572,7 @@ class Port(Uncopied):
                     # Less than was hoped for may still be some.
                     return self._stream.decode_into(room, count)
         except BaseException:
-            self._stash_from(room, first=True)
+            self._keep_pending(room, first=True)
             raise
 
     def _read_ahead(self, deadline: float) -> None:
@@ -591,16 +587,16 @@ class Port(Uncopied):
                     raise error
                 self._wait(1, deadline)
         finally:
-            self._stash_from(room, first=False)
+            self._keep_pending(room, first=False)
 
-    def _stash_from(self, room: FrameArray, *, first: bool) -> None:
+    def _keep_pending(self, room: FrameArray, *, first: bool) -> None:
         """Keep the frames that were decoded into `room` for the next read."""
         if self._stream.filled:
             frames = copy_records(room[: self._stream.filled])
             if first:
-                self._stash.appendleft(frames)
+                self._pending_frames.appendleft(frames)
             else:
-                self._stash.append(frames)
+                self._pending_frames.append(frames)
             self._ring.hold_ready(True)
 
     def _end_error(self) -> Exception | None:
@@ -625,24 +621,24 @@ class Port(Uncopied):
                 f"max_frames is {count}; it must be frames that the system has memory for"
             ) from None
 
-    def _unstash(self, room: FrameArray) -> int:
+    def _take_pending(self, room: FrameArray) -> int:
         """Move frames that were decoded earlier into `room`; return how many."""
         count = 0
-        while self._stash and count < len(room):
-            frames = self._stash.popleft()
+        while self._pending_frames and count < len(room):
+            frames = self._pending_frames.popleft()
             fits = min(len(frames), len(room) - count)
             put_records(room[count : count + fits], frames[:fits])
             count += fits
             if fits < len(frames):
-                self._stash.appendleft(frames[fits:])
-        if count and not self._stash:
+                self._pending_frames.appendleft(frames[fits:])
+        if count and not self._pending_frames:
             self._ring.hold_ready(self._held)
         return count
 
     def _watch(self) -> None:
         """See whether the watchdog's ping comes back."""
         if self._ping_s:
-            self._stream.watch(self._clock(), self._link.last_beat)
+            self._stream.watch(self._clock(), self._reader.last_heartbeat)
 
     def _wait(self, wanted: int, deadline: float | None) -> bool:
         """Wait for bytes; see meanwhile whether the watchdog's ping comes back."""
@@ -662,35 +658,29 @@ class Port(Uncopied):
         return np.append(starts[1:count], len(raw))
 
 
-class _Greeting:
-    """What an adapter is told when it is opened."""
-
-    def __init__(self, data: bytes) -> None:
-        self.data = data
-
-
 class _Connect:
-    """Open the line, and make the adapter ready."""
+    """Open the line, and configure the adapter by `config_packet`; b"" leaves it as it is."""
 
-    def __init__(self, url: str, baudrate: int, greeting: _Greeting, *, flush: bool) -> None:
-        self._url, self._baudrate, self._greeting, self._flush = url, baudrate, greeting, flush
+    def __init__(self, url: str, line: LineConfig, config_packet: bytes) -> None:
+        self._url, self._line, self.config_packet = url, line, config_packet
 
     def __call__(self) -> Line:
-        line = open_line(self._url, self._baudrate, flush=self._flush)
-        greeting = memoryview(self._greeting.data)
+        line = open_line(self._url, self._line)
+        packet = self.config_packet  # another thread may set the next one
+        rest = memoryview(packet)
         try:
-            while greeting:
-                count = line.write(greeting, 1.0)
+            while rest:
+                count = line.write(rest, 1.0)
                 if not count:
                     raise PortError(
                         f"{self._url} does not take the adapter's configuration; is it plugged in?"
                     )
-                greeting = greeting[count:]
+                rest = rest[count:]
         except BaseException:
             line.close()
             raise
-        if self._greeting.data:
-            time.sleep(_SETTLE)
+        if packet:
+            time.sleep(_SETTLE_S)
         return line
 
 
@@ -701,13 +691,13 @@ def _deadline(timeout: float | None) -> float | None:
 
 
 def _sooner(deadline: float | None, seconds: float) -> float:
-    """Return the deadline, or when so many seconds have passed, whatever is sooner."""
+    """Return the deadline, or the time in this many seconds, whichever is sooner."""
     soon = time.monotonic() + seconds
     return soon if deadline is None else min(deadline, soon)
 
 
 def _empty(items: deque[_T]) -> list[_T]:
-    """Take all there is, while somebody else may add to it."""
+    """Take all there is, while another thread may add to it."""
     taken = []
     with contextlib.suppress(IndexError):
         while True:
@@ -728,9 +718,12 @@ def host_clock() -> Callable[[], int]:
 class PortInfo(NamedTuple):
     """A serial port of this machine."""
 
-    url: str  # what `open` takes
-    name: str  # of the device, as it calls itself; "" where it does not
-    hardware: str  # USB ids and serial number, or what else the system knows; "" for nothing
+    #: What `open` takes.
+    url: str
+    #: Of the device, as it calls itself; "" where it does not.
+    name: str
+    #: USB ids and serial number, or what else the system knows; "" for nothing.
+    hardware: str
 
 
 def list_ports() -> list[PortInfo]:

@@ -1,4 +1,4 @@
-"""A bounded ring of bytes between a port and who decodes them, with the times of arrival."""
+"""A bounded ring of bytes between a port and its decoder, with the times of arrival."""
 
 import os
 import threading
@@ -7,20 +7,24 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-__all__ = ["Gap", "Piece", "Ring", "holds"]
+__all__ = ["Gap", "Read", "Ring", "holds"]
 
 
 class Gap(NamedTuple):
     """A place in a stream where bytes are missing."""
 
-    offset: int  # stream offset of the first byte behind it
-    lost: int  # bytes that are missing; -1 where nobody knows
-    ts: int  # epoch nanoseconds at which it began
-    reason: str  # "overflow", "reconnect" or "watchdog"
+    #: Stream offset of the first byte behind it.
+    offset: int
+    #: Bytes that are missing; -1: their number is unknown.
+    lost: int
+    #: When it began, in epoch nanoseconds.
+    ts: int
+    #: "overflow", "reconnect" or "watchdog".
+    reason: str
 
 
-class Piece(NamedTuple):
-    """The bytes of one read of the port."""
+class Read(NamedTuple):
+    """Where the bytes of one read of the port are in the stream, and when they had arrived."""
 
     begin: int  # stream offset of the first of them
     end: int  # stream offset behind the last
@@ -53,11 +57,11 @@ class Ring:
         self._size = size
         self._begin = 0  # offset of the oldest byte
         self._end = 0  # offset behind the newest
-        self._pieces: deque[Piece] = deque()  # not handed out yet
-        self._gaps: deque[Gap] = deque()  # ahead of who empties it
+        self._reads: deque[Read] = deque()  # not handed out yet
+        self._gaps: deque[Gap] = deque()  # not reached yet by the thread that empties it
         self._full = False
         self._error: Exception | None = None
-        # Reentrant: a signal handler, or the end of a port that nobody holds, may come at any
+        # Reentrant: a signal handler, or the end of a port without references, may come at any
         # place of any thread, and close it.
         self._lock = threading.RLock()
         self._came = threading.Condition(self._lock)
@@ -84,7 +88,7 @@ class Ring:
     def put(self, count: int, ns: int) -> None:
         """Take notice of bytes that were put there, and had arrived by `ns`."""
         with self._lock:
-            self._pieces.append(Piece(self._end, self._end + count, ns))
+            self._reads.append(Read(self._end, self._end + count, ns))
             self._end += count
             self._set_signal()
             if self._end - self._begin >= self._wanted:
@@ -163,19 +167,19 @@ class Ring:
             self._end - self._begin >= self._wanted or bool(self._gaps) or self._error is not None
         )
 
-    def peek(self) -> tuple[memoryview, list[Piece]]:
-        """Return bytes in one piece of memory, up to a gap, and the pieces not seen before."""
+    def peek(self) -> tuple[memoryview, list[Read]]:
+        """Return bytes in one piece of memory, up to a gap, and the reads not seen before."""
         with self._lock:
             end = self._gaps[0].offset if self._gaps else self._end
             at = self._begin % self._size
             count = min(end - self._begin, self._size - at)
-            pieces = []
-            while self._pieces and self._pieces[0].end <= self._begin + count:
-                pieces.append(self._pieces.popleft())
-            return self._bytes[at : at + count], pieces
+            reads = []
+            while self._reads and self._reads[0].end <= self._begin + count:
+                reads.append(self._reads.popleft())
+            return self._bytes[at : at + count], reads
 
-    def took(self, offset: int) -> None:
-        """Give the memory of the bytes before this offset back."""
+    def release_to(self, offset: int) -> None:
+        """Release the bytes before this offset: new ones may take their place."""
         with self._lock:
             self._begin = offset
             self._set_signal()
@@ -204,7 +208,7 @@ class Ring:
             return self._signal[0]
 
     def hold_ready(self, held: bool) -> None:
-        """Keep that descriptor readable, for one who holds frames that he took."""
+        """Keep that descriptor readable, for a caller that holds frames it took."""
         with self._lock:
             self._held = held
             self._set_signal()

@@ -8,37 +8,38 @@ from typing import Final
 import numpy as np
 
 from canser import adapters
+from canser._core.table import find_protocol
 from canser._frames import FrameArray
 from canser.adapters import AdapterReport
 from canser.codec.decoder import Control, Decoder
 from canser.codec.doubt import is_doubtful
 from canser.errors import CanserWarning
-from canser.live.ring import Gap, Piece, Ring
-from canser.timing.clocks import Stamper
+from canser.live.ring import Gap, Read, Ring
+from canser.timing.clocks import FrameClock
 
-__all__ = ["LiveStream", "Tap"]
+__all__ = ["LiveStream", "OnBytes"]
 
-# Called with the bytes of each read, when they had arrived, and how many are missing before
-# them (-1: nobody knows).
-Tap = Callable[[memoryview, int, int], None]
+# Called with the bytes of each read, the time at which they had arrived, and the number of bytes
+# that are missing before them (-1: it is unknown).
+OnBytes = Callable[[memoryview, int, int], None]
 
-# So many bytes are judged at a time, to tell a wrong baud rate or protocol from noise.
+# A wrong baud rate or protocol is told from noise by this many bytes at a time.
 _WRONG_BYTES: Final = 4096
 
-# Control packets and gaps that nobody takes: the newest so many are kept.
+# Control packets and gaps that are not taken: the newest ones are kept, this many of each.
 _KEPT: Final = 1 << 16
 
-# How far the ping is looked for at a time.
+# A lost ping is looked for in this many bytes at a time.
 _SEARCH: Final = 1 << 16
 
-# A ping that is away for so many periods is lost.
-_PATIENCE: Final = 2.5
+# A ping that has not come back after this many periods is lost.
+_PATIENCE_PERIODS: Final = 2.5
 
 
 class LiveStream:
     """Decode what a ring holds. Not safe for two threads: its owner takes a lock.
 
-    `ping_s`: seconds between the pings that somebody sends; 0 for none. With `device_time`
+    `ping_s`: seconds between the pings of the watchdog; 0 for none. With `device_time`
     frames keep the times that they come with.
     """
 
@@ -47,30 +48,30 @@ class LiveStream:
         url: str,
         ring: Ring,
         decoder: Decoder,
-        stamper: Stamper,
+        frame_clock: FrameClock,
         *,
-        tap: Tap | None,
+        on_bytes: OnBytes | None,
         ping_s: float,
         device_time: bool,
     ) -> None:
-        self.decoder, self.stamper = decoder, stamper
+        self.decoder, self.frame_clock = decoder, frame_clock
         self.controls: deque[Control] = deque(maxlen=_KEPT)
         self.gaps: deque[Gap] = deque(maxlen=_KEPT)
         self.status: AdapterReport | None = None  # the last one that came
         self.filled = 0  # frames in the room that was given last
-        self._stamped = 0  # of these, those that have their times
+        self._timed = 0  # of these, those that have their times
         self._decoded = 0  # frames of the whole stream
-        self._url, self._ring, self._tap = url, ring, tap
+        self._url, self._ring, self._on_bytes = url, ring, on_bytes
         self._offsets = np.empty(0, np.int64)
         self._device_time = device_time
-        self._untold: deque[Piece] = deque()  # not given to the tap yet
-        self._missing = 0  # bytes lost before the next piece; -1: nobody knows how many
-        self._ping = adapters.ping(decoder.protocol) if ping_s else b""
-        self._patience_ns = int(ping_s * _PATIENCE * 1e9)
+        self._untold: deque[Read] = deque()  # not given to `on_bytes` yet
+        self._missing = 0  # bytes lost before the next read; -1: it is unknown how many
+        self._ping = find_protocol(decoder.protocol).ping if ping_s else b""
+        self._patience_ns = int(ping_s * _PATIENCE_PERIODS * 1e9)
         self._asked = 0  # when the ping went out that shall come back; 0 for none
         self._answered = 0  # when the last ping came back
-        self._arrived = 0  # when the last piece did
-        self._fresh = False  # pieces have come of which no frame has its time yet
+        self._arrived = 0  # when the last read had arrived
+        self._fresh = False  # reads have come of which no frame has its time yet
         self._searching = False  # the ping is lost: look for it among the bytes
         self._looked = (0, 0)  # bytes in and skipped when the share was last looked at
         self._warned: set[str] = set()
@@ -79,29 +80,29 @@ class LiveStream:
         """Decode into `room` behind its first `count` frames; return how many it has then.
 
         Takes what the ring holds, as far as there is room. No byte is lost by an exception,
-        of the tap or by Ctrl-C: `filled` tells then how many frames `room` has.
+        of `on_bytes` or by Ctrl-C: `filled` tells then how many frames `room` has.
         """
         if len(self._offsets) < len(room):
             self._offsets = np.empty(len(room), np.int64)
-        self.filled = self._stamped = count
+        self.filled = self._timed = count
         try:
             self._decode(room)
         except BaseException:
-            # It may have come behind the decoder's work, before anybody took note of it.
-            self._ring.took(self.decoder.position)
+            # It may have come behind the decoder's work, and before that was counted.
+            self._ring.release_to(self.decoder.position)
             self._count(self.decoder.stats.frames - self._decoded)
             self._keep_controls()
-            self._stamp(room)
+            self._assign_times(room)
             raise
-        self._stamp(room)
+        self._assign_times(room)
         self._look_at_share()
         return self.filled
 
     def end_into(self, room: FrameArray, count: int) -> int:
         """End the stream: decode what is held, too."""
-        self.filled = self._stamped = count
+        self.filled = self._timed = count
         self._flush(room)
-        self._stamp(room)
+        self._assign_times(room)
         return self.filled
 
     def watch(self, now: int, last_ping: int) -> None:
@@ -133,7 +134,7 @@ class LiveStream:
                     self._flush(room)  # it will never be whole
                 if self.decoder.pending or (gap := self._ring.take_gap()) is None:
                     break
-                self._stamp(room)
+                self._assign_times(room)
                 self._pass(gap)
                 continue
             if self._searching and (at := bytes(data[:_SEARCH]).find(self._ping)) >= 0:
@@ -147,7 +148,7 @@ class LiveStream:
             room_left = room[self.filled :], self._offsets[self.filled :]
             _, count = self.decoder.feed_into(data, *room_left)
             self._count(count)
-            self._ring.took(self.decoder.position)
+            self._ring.release_to(self.decoder.position)
             self._keep_controls()
 
     def _count(self, count: int) -> None:
@@ -157,16 +158,16 @@ class LiveStream:
 
     def _peek(self) -> memoryview:
         """Return the next bytes of the ring, and tell of those that are new."""
-        data, pieces = self._ring.peek()
+        data, reads = self._ring.peek()
         begin = self.decoder.position
-        self._untold.extend(pieces)
+        self._untold.extend(reads)
         while self._untold:  # some may be left by an exception
-            piece = self._untold.popleft()
-            self.stamper.arrived(piece.end, piece.ns)
-            self._arrived = piece.ns
+            read = self._untold.popleft()
+            self.frame_clock.add_arrival(read.end, read.ns)
+            self._arrived = read.ns
             self._fresh = True
-            if self._tap is not None:
-                self._tap(data[piece.begin - begin : piece.end - begin], piece.ns, self._missing)
+            if self._on_bytes is not None:
+                self._on_bytes(data[read.begin - begin : read.end - begin], read.ns, self._missing)
                 self._missing = 0
         return data
 
@@ -179,24 +180,24 @@ class LiveStream:
 
     def _pass(self, gap: Gap) -> None:
         """Go on behind a gap."""
-        self.stamper.gap()
+        self.frame_clock.gap()
         self.gaps.append(gap)
         self._missing = -1 if -1 in (gap.lost, self._missing) else self._missing + gap.lost
         if gap.reason == "reconnect":
             self._asked, self._searching = 0, False
 
-    def _stamp(self, room: FrameArray) -> None:
+    def _assign_times(self, room: FrameArray) -> None:
         """Give the frames that are new in `room` their times."""
-        new = slice(self._stamped, self.filled)
-        self._stamped = self.filled
+        new = slice(self._timed, self.filled)
+        self._timed = self.filled
         if self._device_time:
             return
         if new.stop > new.start or self._fresh:
             self._fresh = False
             end = self.decoder.position - self.decoder.pending
-            self.stamper.stamp(room[new], self._offsets[new], end)
-            if self.stamper.remark is not None:
-                self._warn("clock", f"{self._url}: {self.stamper.remark}")
+            self.frame_clock.assign_times(room[new], self._offsets[new], end)
+            if self.frame_clock.remark is not None:
+                self._warn("clock", f"{self._url}: {self.frame_clock.remark}")
 
     def _keep_controls(self) -> None:
         for control in self.decoder.take_controls():

@@ -20,16 +20,16 @@ from canser.monitoring.livetable import ROW_DTYPE, RowArray
 
 __all__ = ["DESCENDING", "Heading", "Table"]
 
-# For so long a byte that has changed is marked, first strongly, then faintly: nanoseconds.
-_FRESH: Final = 400_000_000
-_FADING: Final = 2_000_000_000
+# How long a byte that has changed is marked strongly, and then faintly.
+_FRESH_NS: Final = 400_000_000
+_FADING_NS: Final = 2_000_000_000
 
 # How a byte looks: never changed, changed some time ago, a moment ago, just now.
 _BYTES: Final = ("constant", "data", "fading", "fresh")
 
-# A row is quiet when its frame is late by so many periods, and by a second at least.
-_QUIET: Final = 3.0
-_SECOND: Final = 1_000_000_000
+# A row is quiet when its frame is late by this many periods, and by a second at least.
+_QUIET_PERIODS: Final = 3.0
+_S_NS: Final = 1_000_000_000
 
 # From this width on there is room for more columns.
 _WIDE: Final = 142
@@ -148,7 +148,7 @@ class Table(ScrollView, can_focus=True):
 def _values(rows: RowArray, now: int) -> Iterator["_Row"]:
     """Yield rows as Python's own values."""
     levels = np.zeros((len(rows), 8), np.int8)
-    for since in (NO_TIME, now - _FADING, now - _FRESH):
+    for since in (NO_TIME, now - _FADING_NS, now - _FRESH_NS):
         levels += rows["changed"] > since
     names = ("id", "ext", "rtr", "err", "dlc", "count", "ts", "period", "jitter", "rate", "data")
     columns = [rows[name].tolist() for name in names]
@@ -186,7 +186,7 @@ class _Painter(NamedTuple):
     def segments(self, row: _Row) -> list[Segment]:
         """Return the text of a row; few segments, as these are what drawing costs."""
         age = self.now - row.ts if row.ts != NO_TIME else 0
-        quiet = age > _SECOND and (math.isnan(row.period) or age > _QUIET * row.period)
+        quiet = age > _S_NS and (math.isnan(row.period) or age > _QUIET_PERIODS * row.period)
         number = self.looks["quiet" if quiet else "number"]
         name = f"{row.id:08X}" if row.ext or row.err else f"{row.id:03X}"
         rate = "-" if math.isnan(row.rate) else f"{row.rate:,.1f}"

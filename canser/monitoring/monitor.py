@@ -21,9 +21,9 @@ from canser.monitoring.livetable import ROW_DTYPE, LiveTable, RowArray, choose, 
 
 __all__ = ["Monitor"]
 
-# The screen is drawn so often, whatever the frame rate: seconds. Frames are read in batches
-# of the same length, so that their number makes no work.
-_TICK: Final = 0.1
+# The screen is drawn this often, whatever the frame rate. Frames are read in batches of the same
+# time, so that their number makes no work.
+_TICK_S: Final = 0.1
 _ROOM: Final = 1 << 15
 
 
@@ -46,7 +46,7 @@ class _Reader(threading.Thread):
         room = np.empty(_ROOM, FRAME_DTYPE)
         try:
             while not self._ending.is_set():
-                frames = self._port.read_batch(room, min_frames=_ROOM, timeout=_TICK)
+                frames = self._port.read_batch(room, min_frames=_ROOM, timeout=_TICK_S)
                 self.table.add(frames)
                 self.gaps += len(self._port.take_gaps())
                 self.stats = self._port.stats
@@ -164,7 +164,7 @@ class Monitor(App[None]):
         """Start to read."""
         self.query_one(Table).focus()
         self._reader.start()
-        self.set_interval(_TICK, self._draw)
+        self.set_interval(_TICK_S, self._draw)
         self.call_after_refresh(self._draw)
 
     def on_unmount(self) -> None:

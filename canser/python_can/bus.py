@@ -5,6 +5,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
 from threading import Lock
 from typing import Any, Final, cast
 
@@ -22,8 +23,10 @@ from canser._guards import Uncopied
 from canser._items import message_to_row
 from canser._protocols import protocols, tick_ns
 from canser._rows import rows_to_frames
+from canser.adapters import AdapterConfig
 from canser.errors import PortError, SendTimeoutError
 from canser.live import ports
+from canser.live.config import LineConfig, flat_config
 from canser.python_can._messages import MessageRow, to_rows
 
 __all__ = ["CanserBus"]
@@ -36,17 +39,23 @@ _MEANINGLESS: Final = {"fd", "single_handle", "timeout"}
 # Frames taken from the port at a time.
 _BATCH: Final = 4096
 
-# Seconds in which a line must have sent what it took, when the bus is shut down.
+# How long `shutdown` waits for the line to send what it has taken.
 _DRAIN_S: Final = 1.0
 
-# Seconds from which on a time of a message is one of day, since 1970, and before which it is.
-_DAYS_FROM: Final = 1_000_000_000
-_DAYS_TO: Final = 1 << 32
+# Timestamps in this range are epoch seconds; smaller ones are device seconds.
+_EPOCH_FROM_S: Final = 1_000_000_000
+_EPOCH_TO_S: Final = 1 << 32
 
 _TICKS: Final = 1 << 32
 
 # A filter's id and mask, and the kind of frame that it wants, None for any.
 _Rule = tuple[np.int64, np.int64, bool | None]
+
+
+def _take_fields(kind: type[AdapterConfig | LineConfig], options: dict[str, Any]) -> dict[str, Any]:
+    """Take the options out that are fields of a value object, and return them."""
+    names = {field.name for field in fields(kind)} & options.keys()
+    return {name: options.pop(name) for name in names}
 
 
 class _Descriptor(int):
@@ -56,8 +65,8 @@ class _Descriptor(int):
 class _UntilShutdown:
     """A bus for the threads that send periodically.
 
-    They are told to stop, and not waited for, before the port is closed: who is about to
-    send just then shall not fail.
+    They are told to stop before the port is closed, and not waited for. A thread that is about
+    to send just then must not fail.
     """
 
     def __init__(self, bus: can.BusABC) -> None:
@@ -88,29 +97,39 @@ class CanserBus(Uncopied, can.BusABC):
         can_filters: CanFilters | None = None,
         *,
         protocol: str | None = None,
-        baudrate: int | None = None,
-        bitrate: int | None = None,
-        mode: str = "normal",
-        frame_type: str = "all",
-        filter_id: int = 0,
-        filter_mask: int = 0,
-        once: bool = False,
         ts_unit: str = "ms",
         device_time: bool | None = None,
         reconnect: bool = False,
-        ping: float | None = None,
-        **kwargs: Any,
+        **options: Any,
     ) -> None:
         """Open a port as a bus.
 
-        `channel`: the port's URL. `protocol`: what the adapter speaks, a name of
-        `canser.protocols()`. `device_time`: whether messages have times of the device's
-        clock (the default where the format has one), or all of the host's. The others as for
-        `canser.open`. What else is given is left alone, as python-can's buses do, and told
-        in the log.
+        Parameters
+        ----------
+        channel : str
+            The URL of the port, as for `canser.open`.
+        can_filters : list of dict, optional
+            As for any bus of python-can.
+        protocol : str
+            What the adapter speaks: a name of `canser.protocols()` or an accepted spelling.
+        ts_unit, reconnect
+            As for `canser.open`.
+        device_time : bool, optional
+            Whether messages have times of the device's clock, or all of the host's; by default
+            of the device's where the format has one.
+        **options
+            The fields of `canser.AdapterConfig`, of which `bitrate` is needed to configure the
+            adapter, and of `canser.LineConfig`. Any other option is left alone, as python-can's
+            buses do, and the log names it.
 
-        ValueError and TypeError for a value that is not possible, CanInitializationError
-        for a port that cannot be opened, CanInterfaceNotImplementedError without pyserial.
+        Raises
+        ------
+        TypeError, ValueError
+            For a value that is not possible.
+        can.CanInitializationError
+            For a port that cannot be opened.
+        can.CanInterfaceNotImplementedError
+            Without pyserial.
         """
         if not isinstance(channel, str):
             raise TypeError(f"channel is {channel!r}; it must be the URL of a port, such as COM3")
@@ -118,30 +137,23 @@ class CanserBus(Uncopied, can.BusABC):
             raise ValueError("channel is empty; it must be the URL of a port, such as /dev/ttyUSB0")
         if protocol is None:
             raise ValueError(f"protocol is missing; give one of {', '.join(protocols())}")
-        if kwargs.get("fd"):
+        if options.get("fd"):
             raise ValueError("fd is True, but serial adapters know classic CAN only; leave it out")
-        for name in kwargs.keys() - _MEANINGLESS:
+        self._config = flat_config(_take_fields(AdapterConfig, options))
+        line = LineConfig(**_take_fields(LineConfig, options))
+        for name in options.keys() - _MEANINGLESS:
             _LOG.warning("%s means nothing to the interface canser and is left alone", name)
         row = find_protocol(protocol)
         self._clocked, self._unit, self._tick_ns = row.has_clock, ts_unit, tick_ns(ts_unit)
-        self._settings: dict[str, Any] = {
-            "mode": mode,
-            "frame_type": frame_type,
-            "filter_id": filter_id,
-            "filter_mask": filter_mask,
-            "once": once,
-        }
         try:
             self.port = ports.open(
                 channel,
                 protocol,
-                baudrate=baudrate,
-                bitrate=bitrate,
+                config=self._config,
+                line=line,
                 ts_unit=ts_unit,
                 device_time=row.has_clock if device_time is None else device_time,
                 reconnect=reconnect,
-                ping=ping,
-                **self._settings,
             )
         except PortError as error:
             raise can.CanInitializationError(str(error)) from error
@@ -151,9 +163,9 @@ class CanserBus(Uncopied, can.BusABC):
         self._can_protocol = can.CanProtocol.CAN_20
         self._rules: list[_Rule] = []
         self._queue: deque[MessageRow] = deque()
-        self._sieve: object = None  # the filters that all in the queue have passed
-        self._watched = False  # somebody has the descriptor
-        self._lock = Lock()  # for the queue as a whole; not held while anybody waits
+        self._active_filters: object = None  # the filters that all in the queue have passed
+        self._watched = False  # `fileno` has given the descriptor to a caller
+        self._lock = Lock()  # for the queue as a whole; not held during a wait
         try:
             super().__init__(channel, can_filters)
         except BaseException:
@@ -170,15 +182,16 @@ class CanserBus(Uncopied, can.BusABC):
         if self._watched and not self._queue:
             self._set_ready()
         # If the filters have changed meanwhile python-can applies the new ones.
-        return can.Message(*row), self._sieve is self._filters
+        return can.Message(*row), self._active_filters is self._filters
 
     def _fill(self, timeout: float | None) -> None:
         """Put frames that pass the filters into the queue, or none after the time-out."""
-        sieve = self._filters
+        filters = self._filters
         frames = self._read(_BATCH, timeout)
         with self._lock:
             # Another thread may have put some there, by other filters.
-            self._sieve = None if self._queue and sieve is not self._sieve else sieve
+            same = not self._queue or filters is self._active_filters
+            self._active_filters = filters if same else None
             self._queue.extend(to_rows(frames))
         if self._watched:
             self._set_ready()
@@ -274,12 +287,12 @@ class CanserBus(Uncopied, can.BusABC):
 
     def _ticking(self, seconds: float) -> int:
         """Return the time of a message in nanoseconds, if the device's clock can show it."""
-        if not 0 <= seconds < _DAYS_TO:  # or it is NaN
+        if not 0 <= seconds < _EPOCH_TO_S:  # or it is NaN
             raise ValueError(
                 f"the timestamp {seconds} is out of range; it must be 0 or more, in seconds"
             )
         ns = round(seconds * 1e9)
-        if ns >= _TICKS * self._tick_ns and seconds < _DAYS_FROM:
+        if ns >= _TICKS * self._tick_ns and seconds < _EPOCH_FROM_S:
             raise ValueError(
                 f"the timestamp {seconds} is out of range: a clock in {self._unit} ends at "
                 f"{(_TICKS - 1) * self._tick_ns / 1e9:.15g} seconds; use a coarser ts_unit"
@@ -312,24 +325,25 @@ class CanserBus(Uncopied, can.BusABC):
         It can be set where the adapter is configured, that is opened with a bitrate: else
         NotImplementedError.
         """
-        silent = "silent" in self._settings["mode"]
+        silent = self._config is not None and "silent" in self._config.mode
         return can.BusState.PASSIVE if silent else can.BusState.ACTIVE
 
     @state.setter
     def state(self, new_state: can.BusState) -> None:
         if new_state is self.state:
             return
-        if self.port.bitrate is None or new_state is can.BusState.ERROR:
+        if self._config is None or new_state is can.BusState.ERROR:
             raise NotImplementedError(
                 f"this bus cannot be made {new_state}; open it with a bitrate to configure "
                 "its adapter"
             )
         mode = "silent" if new_state is can.BusState.PASSIVE else "normal"
+        config = replace(self._config, mode=mode)
         try:
-            self.port.configure(bitrate=self.port.bitrate, **{**self._settings, "mode": mode})
+            self.port.configure(config)
         except PortError as error:
             raise can.CanOperationError(str(error)) from error
-        self._settings["mode"] = mode
+        self._config = config
 
     def _send_periodic_internal(
         self,
@@ -363,7 +377,7 @@ class CanserBus(Uncopied, can.BusABC):
 
     @staticmethod
     def _detect_available_configs() -> Sequence[AutoDetectedConfig]:
-        # Nobody can tell what an adapter speaks before it has spoken.
+        # What an adapter speaks is unknown before it has sent something.
         return [
             cast(
                 AutoDetectedConfig,

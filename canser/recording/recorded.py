@@ -10,13 +10,13 @@ from canser._frames import FRAME_DTYPE, FrameArray
 from canser.codec.decoder import Decoder
 from canser.errors import RecordingError
 from canser.recording.recording import Recording, RecordingInfo
-from canser.timing.clocks import Stamper
+from canser.timing.clocks import FrameClock
 
 __all__ = ["RecordedFrames"]
 
-# Frames get their times so many at a time: as few as make arrays that fit a cache, and that
-# the allocator keeps (fresh pages cost more than the times).
-_STAMPED = 4096
+# Frames get their times this many at a time: few enough that the arrays fit a cache, and that
+# the allocator keeps them (fresh pages cost more than the times).
+_TIMED_AT_ONCE = 4096
 
 # Pieces smaller than this are decoded together: a call costs as much as a copy of so many bytes.
 _SMALL = 1 << 14
@@ -46,14 +46,14 @@ class RecordedFrames:
         except ValueError as error:
             raise RecordingError(f"the recording says {error}") from None
         row = find_protocol(self.decoder.protocol)
-        self._stamper = Stamper(row.has_clock, self.info.byte_ns, row.frame_max)
+        self._frame_clock = FrameClock(row.has_clock, self.info.byte_ns, row.frame_max)
         self._gaps = self._bytes_lost = self._unknown = 0
         # Of the bytes that are to be decoded next: sizes of pieces, and when they came.
         self._arrivals: list[tuple[int, int]] = []
         # The array that is being filled: with so many frames, so many of these with their time.
         self._out: FrameArray = np.empty(0, FRAME_DTYPE)
         self._offsets = np.empty(0, np.int64)
-        self._count = self._stamped = 0
+        self._count = self._timed = 0
 
     @property
     def bytes_done(self) -> int:
@@ -70,8 +70,8 @@ class RecordedFrames:
                 times = "once" if self._unknown == 1 else f"{self._unknown:,} times"
                 lost += f" and {times} an unknown number"
             remarks.append(f"gaps in the recording: {self._gaps:,}, bytes lost: {lost}")
-        if self._stamper.remark is not None:
-            remarks.append(self._stamper.remark)
+        if self._frame_clock.remark is not None:
+            remarks.append(self._frame_clock.remark)
         return remarks
 
     def line_bytes(self) -> Iterator[memoryview]:
@@ -91,8 +91,8 @@ class RecordedFrames:
             if after_gap:
                 # Only what came before the gap is held: it will never be whole.
                 yield from self._flush(room)
-                self._stamp()
-                self._stamper.gap()
+                self._assign_times()
+                self._frame_clock.gap()
             self._arrive()
             done, size = 0, len(data)
             while done < size:
@@ -105,8 +105,8 @@ class RecordedFrames:
                 if self._count == len(self._out):
                     yield self._hand_over()
                     self._take(room)
-            if self._count - self._stamped >= _STAMPED:
-                self._stamp()
+            if self._count - self._timed >= _TIMED_AT_ONCE:
+                self._assign_times()
             if self._live and self._count:
                 yield self._hand_over()
                 self._take(room)
@@ -142,7 +142,7 @@ class RecordedFrames:
         end = self.decoder.position
         for size, ns in self._arrivals:
             end += size
-            self._stamper.arrived(end, ns)
+            self._frame_clock.add_arrival(end, ns)
         self._arrivals.clear()
 
     def _flush(
@@ -162,18 +162,18 @@ class RecordedFrames:
             self._offsets = offsets.view(np.int64)
         elif len(self._offsets) < len(self._out):
             self._offsets = np.empty(len(self._out), np.int64)
-        self._count = self._stamped = 0
+        self._count = self._timed = 0
 
     def _hand_over(self) -> tuple[FrameArray, int]:
-        self._stamp()
+        self._assign_times()
         return self._out, self._count
 
-    def _stamp(self) -> None:
+    def _assign_times(self) -> None:
         """Give the frames that have none their time."""
-        new = slice(self._stamped, self._count)
+        new = slice(self._timed, self._count)
         end = self.decoder.position - self.decoder.pending
-        self._stamper.stamp(self._out[new], self._offsets[new], end)
-        self._stamped = self._count
+        self._frame_clock.assign_times(self._out[new], self._offsets[new], end)
+        self._timed = self._count
 
     def _count_gap(self, lost: int) -> None:
         self._gaps += 1

@@ -91,7 +91,7 @@ class Recorder(Uncopied):
     a file for each, but triggers whose surroundings touch share one, without a gap inside.
     What came before waits in memory, MEMORY bytes at most.
 
-    `write` takes the bytes, as the `tap` of a port; `advance` then tells how far packets are
+    `write` takes the bytes, as the `on_bytes` of a port; `advance` then tells how far packets are
     decoded, and moves the bytes on. Files begin and end between two packets, so that each
     can be decoded by itself.
 
@@ -197,7 +197,7 @@ class Recorder(Uncopied):
             self._open(now_ns)
 
     def write(self, data: memoryview | bytes, arrival_ns: int, lost: int = 0) -> None:
-        """Take bytes as they came; the arguments are those of a port's `tap`."""
+        """Take bytes as they came; the arguments are those of a port's `on_bytes`."""
         self._fresh.append(_Piece(bytes(data), arrival_ns, lost))
         self.bytes_in += len(data)
 

@@ -21,15 +21,15 @@ from typing import Final
 from canser._named import named
 from canser.errors import PortError
 
-__all__ = ["Link", "Terminal"]
+__all__ = ["Symlink", "Terminal"]
 
 _OPENED: Final = 0x20  # IN_OPEN
 _CLOSED: Final = 0x08 | 0x10  # IN_CLOSE_WRITE, IN_CLOSE_NOWRITE
 _EVENT: Final = struct.Struct("iIII")  # watch, mask, cookie, length of the name: none here
 
 # Two openings at once are one event, and then the second closing could be taken for the
-# last. So a host that is believed to be away is looked for, this often in seconds.
-_LOOK_EVERY: Final = 1.0
+# last. So a host that is believed to be away is looked for this often.
+_LOOK_EVERY_S: Final = 1.0
 
 
 class Terminal:
@@ -75,7 +75,7 @@ class Terminal:
         if self._watch is None:
             return False
         seen = self._watch.read() if noticed else 0
-        if seen & _CLOSED or (not self.open and time.monotonic() > self._looked + _LOOK_EVERY):
+        if seen & _CLOSED or (not self.open and time.monotonic() > self._looked + _LOOK_EVERY_S):
             before, self.open = self.open, self._probe()
             # A host that closes and opens again may be too quick for the probe.
             return self.open and (not before or bool(seen & _OPENED))
@@ -190,7 +190,7 @@ class _Watch:
         raise OSError(number, os.strerror(number), os.fsdecode(self._path))
 
 
-class Link:
+class Symlink:
     """A name that stays while terminals come and go: a symbolic link. "" for none.
 
     FileExistsError if there is something else of that name, a link that leads to no terminal

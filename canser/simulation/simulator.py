@@ -18,6 +18,7 @@ import numpy as np
 from canser import adapters
 from canser._checks import flag, real, text, whole
 from canser._checks import timeout as check_timeout
+from canser._core.table import find_protocol
 from canser._frames import FRAME_DTYPE, FrameArray, concat, copy_records
 from canser._guards import ReadOnlyDict, Uncopied
 from canser._named import named
@@ -26,7 +27,7 @@ from canser.adapters import AdapterReport
 from canser.codec.decoder import Decoder, encode
 from canser.errors import PortError
 from canser.simulation._outgoing import Outgoing
-from canser.simulation._terminal import Link, Terminal
+from canser.simulation._terminal import Symlink, Terminal
 
 __all__ = ["PACES", "Simulator", "SimulatorReport"]
 
@@ -153,7 +154,7 @@ class Simulator(Uncopied):
         self.echo = flag(echo, "echo")
         self.deaf = flag(deaf, "deaf")
         self._pace = _pace_asked(pace, baudrate)
-        self._baudrate = adapters.baudrate(self.protocol)
+        self._baudrate = find_protocol(self.protocol).baudrate
         if baudrate is not None:
             self._baudrate = whole(baudrate, "baudrate", "115200", least=1)
         _check_faults(noise, loss, stalls, unplug_after)
@@ -163,7 +164,7 @@ class Simulator(Uncopied):
         self._stalls = collections.deque(sorted(stalls))
         self._unplug_at = unplug_after
         self._copy = copy
-        self._link = Link(text(link, "link", "'/tmp/can'"))
+        self._symlink = Symlink(text(link, "link", "'/tmp/can'"))
         self._link_path = link
 
         self._out = Outgoing(
@@ -521,7 +522,7 @@ class Simulator(Uncopied):
             self._out.answer(packet)
         elif said.kind == "status" and not self.deaf:
             # A request reads as a status without errors, and there are none here.
-            self._out.answer(adapters.status_request(self.protocol))
+            self._out.answer(find_protocol(self.protocol).status_request)
 
     def _paced(self) -> str:
         """Return the pace; where none was asked for, that of the first frames' times."""
@@ -567,7 +568,7 @@ class Simulator(Uncopied):
         with named("a new pseudo terminal"):
             terminal = Terminal()
         try:
-            self._link.point(terminal.path)
+            self._symlink.point(terminal.path)
         except BaseException:
             terminal.close()
             raise
@@ -589,7 +590,7 @@ class Simulator(Uncopied):
     def _hang_up(self) -> None:
         terminal, self._terminal = self._terminal, None
         if terminal is not None:
-            self._link.remove()
+            self._symlink.remove()
             self._bytes_unread += terminal.close()
 
 

@@ -23,10 +23,10 @@ estimate, and late frames do not matter to it:
   lowest difference (of equal ones the first counts as the lowest), because a false frame out of
   noise may be lower than all true ones. Differences over a minute from the bucket's median are
   false frames', and left out.
-- The *line* lies below the points of the last minutes. Its slope is the median of those between
-  points a quarter of the window apart: wherever the points jump, at most a third of these slopes
-  span the jump. Until there is half a minute of points, and as long as the slopes do not
-  agree, it is zero, or what it was before.
+- The *line* lies below the points of the last minutes. The slope is the median over pairs of
+  points a quarter window apart, so one jump of the clock touches at most a third of the pairs.
+  Until there is half a minute of points, and as long as the slopes do not agree, the slope is
+  zero, or what it was before.
 - The points start over when half a minute of them lies 20 ms above the line: the device's clock
   had stood still. And so they do at a *restart*: a bucket whose device times lie before those
   of the bucket before, or more than a minute off the line.
@@ -60,43 +60,43 @@ import numpy as np
 import numpy.typing as npt
 
 from canser._core.buffers import Times
-from canser._core.clock import Line, find_arrivals, find_lowest, find_ranked
+from canser._core.clock import ClockLine, find_arrivals, find_lowest, find_ranked
 from canser._frames import FrameArray
 from canser._protocols import TS_UNITS
 
-__all__ = ["ClockEstimate", "Stamper"]
+__all__ = ["ClockEstimate", "FrameClock"]
 
-_MS: Final = 1_000_000
-_SECOND: Final = 1_000 * _MS
+_MS_NS: Final = 1_000_000
+_S_NS: Final = 1_000 * _MS_NS
 
 # Before all arrivals: the time of the piece before the first.
-_NEVER: Final = -(2**62)
+_NEVER_NS: Final = -(2**62)
 
 # How far a mapped time may lie behind the arrival, or a device time before those of the last
 # bucket, before it is taken for wrong: over what the least delay differs by from one second
 # to the next (some frame of a second hits a latency timer of 16 ms early), below most of what
 # bytes out of noise give.
-_TOLERANCE: Final = 10 * _MS
+_TOLERANCE_NS: Final = 10 * _MS_NS
 
 # The longest that bytes may queue: 64 KiB in the kernel are 6 s of a busy line at 115,200
 # baud, and ten times that of a quiet one. As long as the rate of the clock is not known, a
 # clock that is too slow looks like a queue that grows: then no more than a tick of the
 # coarsest clock, and a second.
-_LONGEST_QUEUE: Final = 60 * _SECOND
-_LONGEST_QUEUE_UNPROVEN: Final = 2 * _SECOND
+_LONGEST_QUEUE_NS: Final = 60 * _S_NS
+_LONGEST_QUEUE_UNPROVEN_NS: Final = 2 * _S_NS
 
-_BUCKET_NS: Final = _SECOND
+_BUCKET_NS: Final = _S_NS
 _BUCKET_FRAMES: Final = 8  # at least; the third lowest of fewer is no low one
 _FIRST_FRAMES: Final = 4
 
-_WINDOW: Final = 300  # points: five minutes of a busy bus, in which crystals are steady
-_STUCK: Final = 30  # points in a row above the line: no queue lasts as long
-_STUCK_NS: Final = 20 * _MS
+_WINDOW_POINTS: Final = 300  # five minutes of a busy bus, in which crystals are steady
+_STUCK_POINTS: Final = 30  # in a row above the line: no queue lasts as long
+_STUCK_NS: Final = 20 * _MS_NS
 
 # A slope needs a span: over 30 s minima that differ by 1 ms give 50 ppm, as much as a crystal is
 # off. It is believed if half of the slopes are within 200 ppm of it: with ticks of a second
 # they are not. The most is beyond what CAN itself bears between two nodes, 1.58 %.
-_DRIFT_SPAN: Final = 30 * _SECOND
+_DRIFT_SPAN_NS: Final = 30 * _S_NS
 _DRIFT_POINTS: Final = 10
 _DRIFT_SPREAD: Final = 200e-6
 _DRIFT_MOST: Final = 20_000e-6
@@ -125,17 +125,17 @@ class ClockEstimate:
     restarts: int
 
 
-class Stamper:
+class FrameClock:
     """Sets the times of one stream's frames to host times, in epoch nanoseconds.
 
     `clocked`: the format has device times. `byte_ns`: what a byte takes on the line,
     10 bits at the baud rate; 0 if the line has none. `frame_max`: bytes of the longest frame.
 
-    The same pieces and frames give the same times wherever `stamp` calls are cut, with
+    The same pieces and frames give the same times wherever `assign_times` calls are cut, with
     one exception: where noise or a control packet follows the last frame of a call, a frame
     without a device time may have a time later by up to `frame_max` bytes.
 
-    One thread may call `arrived` and `gap`, and another one `stamp`.
+    One thread may call `add_arrival` and `gap`, and another one `assign_times`.
     """
 
     def __init__(self, clocked: bool, byte_ns: float, frame_max: int) -> None:
@@ -146,11 +146,11 @@ class Stamper:
         self._reach = 1 if clocked else frame_max
         # Pieces by the offset behind them and their time. The first one holds no bytes
         # that are still of interest: it only tells when the next one began.
-        self._pieces: list[tuple[int, int]] = [(0, _NEVER)]
+        self._pieces: list[tuple[int, int]] = [(0, _NEVER_NS)]
         self._gaps: deque[int] = deque()
         self._times = np.empty(0, np.int64)
 
-    def arrived(self, end: int, ns: int) -> None:
+    def add_arrival(self, end: int, ns: int) -> None:
         """Take note that the bytes up to offset `end` had come by `ns`, epoch nanoseconds.
 
         Once for each read, in order; a time before that of the last piece counts as that.
@@ -165,7 +165,7 @@ class Stamper:
         if self._clock is not None:
             self._gaps.append(self._pieces[-1][0])
 
-    def stamp(self, frames: FrameArray, offsets: Times, end: int) -> None:
+    def assign_times(self, frames: FrameArray, offsets: Times, end: int) -> None:
         """Set `frames["ts"]`, in place.
 
         `frames`: FRAME_DTYPE, shape (n,), with device times in nanoseconds if the format has
@@ -178,7 +178,7 @@ class Stamper:
         if end > pieces[-1][0]:
             raise ValueError(
                 f"frames end at offset {end}, but bytes have arrived up to {pieces[-1][0]} only; "
-                "call arrived() first"
+                "call add_arrival() first"
             )
         # A quarter of the time that np.array takes for tuples.
         known = np.fromiter(chain.from_iterable(pieces), np.int64, 2 * len(pieces))
@@ -194,7 +194,7 @@ class Stamper:
         del self._pieces[: max(gone, 0)]
 
     @property
-    def clock(self) -> ClockEstimate | None:
+    def estimate(self) -> ClockEstimate | None:
         """The estimate of the device's clock; None if there is no clock, or nothing is known."""
         return None if self._clock is None else self._clock.estimate
 
@@ -228,7 +228,7 @@ class _Bucket:
         """Take frames; return their device times as they lie here."""
         begin, self.count = self.count, self.count + len(device)
         if self.count > self._rows.shape[1]:
-            # In large steps: what nobody writes to is no memory yet, and copies are.
+            # In large steps: pages that are not written to take no memory, and copies do.
             rows = np.empty((3, 4 * self.count), np.int64)
             rows[:2, :begin] = self._rows[:2, :begin]
             self._rows = rows
@@ -249,7 +249,7 @@ class _DeviceClock:
     def __init__(self) -> None:
         self.estimate: ClockEstimate | None = None
         self.remark: str | None = None
-        self._line = Line(_TOLERANCE, _NEVER)
+        self._line = ClockLine(_TOLERANCE_NS, _NEVER_NS)
         self._bucket = _Bucket()
         self._opened = 0  # when it began
         # Buckets are short until a second has passed since the first one, or the first after a gap.
@@ -266,7 +266,7 @@ class _DeviceClock:
         # Of buckets, a second apart at least: the medians of device times and of arrivals.
         self._middles: deque[tuple[int, int]] = deque(maxlen=_RATES + 1)
         self._reached = 0  # the last such device time
-        self._longest_queue = _LONGEST_QUEUE_UNPROVEN
+        self._longest_queue = _LONGEST_QUEUE_UNPROVEN_NS
         self._restarts = 0
 
     def follow(self, device: Times, times: Times) -> None:
@@ -283,7 +283,7 @@ class _DeviceClock:
             part = slice(start, start + left)
             held = self._bucket.add(device[part], times[part])
             if self._host is None:
-                self._line.pass_by(int(times[part][-1]))
+                self._line.floor_at(int(times[part][-1]))
             else:
                 self._line.map(held, times[part], self._reached, self._longest_queue)
             if len(held) == left:
@@ -294,7 +294,7 @@ class _DeviceClock:
         """Doubt what is known: the line stays if the next frames agree with it."""
         self._bucket.count = 0  # it may be too small to tell anything
         self._middles.clear()
-        self._longest_queue = _LONGEST_QUEUE_UNPROVEN
+        self._longest_queue = _LONGEST_QUEUE_UNPROVEN_NS
         self._settled = False
         self._since = None
         self._tried = 0
@@ -315,8 +315,8 @@ class _DeviceClock:
         self._settled = int(arrivals[-1]) - self._since >= _BUCKET_NS
 
         usual, low, high = find_ranked(delays, total // 2)
-        if max(usual - low, high - usual) > _LONGEST_QUEUE:
-            near = np.abs(delays - usual) <= _LONGEST_QUEUE
+        if max(usual - low, high - usual) > _LONGEST_QUEUE_NS:
+            near = np.abs(delays - usual) <= _LONGEST_QUEUE_NS
             device, arrivals, delays = device[near], arrivals[near], delays[near]
         middle, _, _ = find_ranked(device, len(device) // 2)
         self._check_rate(device, middle, int(arrivals[len(arrivals) // 2]))
@@ -333,17 +333,17 @@ class _DeviceClock:
             self._restarts += 1
             self._forget()
             return
-        self._points = np.concatenate((self._points, point), axis=1)[:, -_WINDOW:]
+        self._points = np.concatenate((self._points, point), axis=1)[:, -_WINDOW_POINTS:]
         self._frames += len(device)
         self._reached = middle
         host = self._host = self._fit()
-        self._line.lay(self._device, host, self._drift)
-        heights = delays  # in their place
-        self._line.find_heights(device, arrivals, heights)
+        self._line.set(self._device, host, self._drift)
+        residuals = delays  # in their place
+        self._line.find_residuals(device, arrivals, residuals)
         self.estimate = ClockEstimate(
             offset_ns=host - self._device,
             drift_ppm=-self._drift * 1e6,
-            jitter_ns=max(0, find_ranked(heights, len(heights) // 2)[0]),
+            jitter_ns=max(0, find_ranked(residuals, len(residuals) // 2)[0]),
             frames=self._frames,
             restarts=self._restarts,
         )
@@ -360,26 +360,26 @@ class _DeviceClock:
         if len(agree) * 2 <= len(rates):
             return  # noise, or the device restarts all the time
         if _RATE_LEAST <= rate <= _RATE_MOST:
-            self._longest_queue = _LONGEST_QUEUE
+            self._longest_queue = _LONGEST_QUEUE_NS
             self.remark = None
         else:
-            self._longest_queue = _LONGEST_QUEUE_UNPROVEN
+            self._longest_queue = _LONGEST_QUEUE_UNPROVEN_NS
             self.remark = _describe_rate(float(np.mean(agree)), device)
 
     def _jumped(self, device: Times, arrival: Times, middle: int) -> bool:
         """Tell by a bucket's minimum, as arrays of one, and its middle if the clock jumped."""
         if self._host is None:
             return False
-        height = np.empty(1, np.int64)
-        self._line.find_heights(device, arrival, height)
-        back = _wrapped(middle - self._reached) < -_TOLERANCE
-        return back or not -_LONGEST_QUEUE <= height[0] <= self._longest_queue
+        residual = np.empty(1, np.int64)
+        self._line.find_residuals(device, arrival, residual)
+        back = _wrapped(middle - self._reached) < -_TOLERANCE_NS
+        return back or not -_LONGEST_QUEUE_NS <= residual[0] <= self._longest_queue
 
     def _fit(self) -> int:
         """Put the line below the points; return the host's time at the last one."""
         points, count = self._points, self._points.shape[1]
         device, arrivals, delays = (points - points[:, -1:]).astype(np.float64)
-        if count >= _DRIFT_POINTS and -arrivals[0] >= _DRIFT_SPAN:
+        if count >= _DRIFT_POINTS and -arrivals[0] >= _DRIFT_SPAN_NS:
             lag = count // 4
             # The points of short buckets may lie closer together, or in one.
             apart = np.maximum(arrivals[lag:] - arrivals[:-lag], _BUCKET_NS)
@@ -387,11 +387,11 @@ class _DeviceClock:
             drift = _middle(slopes)
             if _middle(np.abs(slopes - drift)) <= _DRIFT_SPREAD:
                 self._drift = min(max(drift, -_DRIFT_MOST), _DRIFT_MOST)
-        heights = delays - self._drift * device
-        lowest = heights.min()
-        if count > _STUCK and heights[-_STUCK:].min() > lowest + _STUCK_NS:
-            lowest = heights[-_STUCK:].min()
-            self._points = points[:, -_STUCK:]
+        residuals = delays - self._drift * device
+        lowest = residuals.min()
+        if count > _STUCK_POINTS and residuals[-_STUCK_POINTS:].min() > lowest + _STUCK_NS:
+            lowest = residuals[-_STUCK_POINTS:].min()
+            self._points = points[:, -_STUCK_POINTS:]
         self._device = int(points[0, -1])
         return int(points[1, -1]) + int(lowest)
 

@@ -68,6 +68,15 @@ def there_and_back(raw: bytes | bytearray | memoryview) -> bytes:
     return canser.encode(frames, "seeed")
 
 
+def convert_all(paths: list[Path]) -> None:
+    """Read several files as one stream, and write any format."""
+    with canser.blocks(paths, format="candump", sort=True) as blocks:
+        assert_type(blocks.stats, canser.Stats | None)
+        done = canser.write(blocks, "all.npy", force=True)
+    assert_type(done.frames, int)
+    canser.convert([*paths, "more.csv"], "all.bin", "serial", strict=True)
+
+
 def make() -> canser.FrameArray:
     """Make frames of what is at hand."""
     message = can.Message(arbitration_id=0x123, data=[1, 2])
@@ -99,7 +108,11 @@ def live(url: str) -> None:
             assert_type(port.status.receive_errors, int | None)
     for info in canser.list_ports():
         assert_type(info, canser.PortInfo)
-    assert_type(adapters.baudrate("seeed"), int)
+    config = canser.AdapterConfig(bitrate=500_000, mode="silent")
+    assert_type(adapters.configuration("seeed", config), bytes)
+    line = canser.LineConfig(baudrate=2_000_000, dtr="off")
+    with canser.open(url, "seeed", config=config, line=line) as other:
+        other.configure(bitrate=250_000)
 
 
 async def live_async(url: str) -> None:

@@ -10,40 +10,41 @@ from canser.errors import CanserError, PortError, PortGoneError
 from canser.live.line import Line
 from canser.live.ring import Ring, holds
 
-__all__ = ["NO_MORE", "Link"]
+__all__ = ["NO_MORE", "LineReader"]
 
 # Where bytes go while the ring is full, to be counted.
 _SCRATCH: Final = 1 << 16
 
-# Frames that come one by one would wake the thread for each: after a read that gave less than a
-# terminal holds it rests, and times may be late by as much, in seconds. A line that is busy nearly
-# all the time bears a longer rest, for there bytes are timed by the bit rate: by at most a fifth
-# of it they are late. At 2 Mbaud 2,400 bytes come meanwhile, three fifths of what a terminal holds.
-_REST: Final = 0.001
-_REST_BUSY: Final = 0.012
+# Frames that come one by one would wake the thread for each. So the thread sleeps after a read
+# that gave less than a terminal holds, and times may be late by that sleep. On a busy line the
+# thread may sleep longer: bytes are dated back from the baud rate, so the error is at most a fifth
+# of the sleep. At 2 Mbaud 2,400 bytes come in the longer sleep, 3/5 of what a terminal holds.
+_REST_S: Final = 0.001
+_REST_BUSY_S: Final = 0.012
 _BUSY: Final = 0.8
 _SMALL: Final = 4000
 
-# How busy a line is, is told from so many seconds: many rests.
-_WINDOW: Final = 0.1
+# The share of the time in which a line is busy is measured over this time: many sleeps.
+_WINDOW_S: Final = 0.1
 
-# Seconds between two tries to open a line anew: the first one, and at most.
-_RETRY: Final = (0.05, 1.0)
+# The time between two tries to open a line anew: the first one, and the longest.
+_RETRY_S: Final = (0.05, 1.0)
 
 NO_MORE: Final = "the line took no more within the time-out"
 GONE: Final = "the device is gone"
 
-# A writer holds the line for so many seconds at a time, so that it can be closed.
-_HOLD: Final = 0.05
+# A writer holds the line for this time at most, so that the line can be closed.
+_HOLD_S: Final = 0.05
 
 
-class Link:
+class LineReader:
     """An open line, and a thread that drains it into a ring as fast as bytes come.
 
-    `connect` opens the line of `url` and makes the device ready; it is called here, and again
-    after the line is gone if `reconnect`. `byte_s`: seconds that a byte takes on the line. `beat`,
-    bytes, is sent every `beat_s` seconds. `clock` gives epoch nanoseconds. Raises what
-    `connect` raises, and PortError where the system starts no more threads.
+    `connect` opens the line of `url` and configures the adapter. It is called here, and again
+    after the line is gone if `reconnect`. `byte_s`: seconds that a byte takes on the line.
+    `heartbeat`: bytes that are sent every `heartbeat_s` seconds; b"" for none. `clock` gives
+    epoch nanoseconds. Raises what `connect` raises, and PortError where the system starts no more
+    threads.
     """
 
     def __init__(
@@ -55,21 +56,21 @@ class Link:
         *,
         byte_s: float,
         reconnect: bool,
-        beat: bytes,
-        beat_s: float,
+        heartbeat: bytes,
+        heartbeat_s: float,
     ) -> None:
         self._url, self._connect, self._ring, self._clock = url, connect, ring, clock
         self._byte_s = byte_s
-        self._reconnect, self._beat, self._beat_s = reconnect, beat, beat_s
-        self.last_beat = 0  # when the last one went out on this line; 0: not yet
+        self._reconnect, self._heartbeat, self._heartbeat_s = reconnect, heartbeat, heartbeat_s
+        self.last_heartbeat = 0  # when the last one went out on this line; 0: not yet
         self._line: Line | None = connect()  # None while it is away
-        # For who writes, and who changes the line. Reentrant, as a signal handler may close
+        # Held to write, and to change the line. Reentrant, as a signal handler may close
         # the port in the middle of a write.
         self._line_lock = threading.Condition()
         self._writing = threading.Lock()
         self._rest = memoryview(b"")  # of a packet whose start went out
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="canser link", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="canser reader", daemon=True)
         try:
             start_thread(self._thread, url, PortError)
         except PortError:
@@ -77,12 +78,12 @@ class Link:
             raise
 
     def write(
-        self, data: bytes, timeout: float | None, lacks: Callable[[int], int]
+        self, data: bytes, timeout: float | None, missing: Callable[[int], int]
     ) -> tuple[int, str]:
         """Write bytes behind what is left of an earlier packet.
 
-        `lacks`: how many bytes a packet lacks that is cut behind so many bytes of `data`.
-        They go out before anything else, unless the line is gone.
+        `missing(n)`: how many bytes are missing of the packet that is cut behind the first n bytes
+        of `data`. They go out before anything else, unless the line is gone.
 
         Returns how many bytes of `data` went out or will, and why not all did ("" if all did).
         """
@@ -100,7 +101,7 @@ class Link:
                     written += count
             finally:  # whatever ends it, an interrupt too
                 if 0 < written < len(view) and why in ("", NO_MORE):
-                    self._rest = view[written : written + lacks(written)]
+                    self._rest = view[written : written + missing(written)]
                     written += len(self._rest)
         finally:
             self._writing.release()
@@ -141,8 +142,8 @@ class Link:
         self._ring.release()
 
     def _write_some(self, data: memoryview, deadline: float | None) -> tuple[int, str]:
-        left = _HOLD if deadline is None else min(deadline - time.monotonic(), _HOLD)
-        if self._closing.is_set():  # asked before the lock, which whoever closes waits for
+        left = _HOLD_S if deadline is None else min(deadline - time.monotonic(), _HOLD_S)
+        if self._closing.is_set():  # asked before the lock, for which `close` waits
             return 0, self._why_no_line()
         with self._line_lock:
             if self._line is None:
@@ -153,7 +154,7 @@ class Link:
                 return 0, GONE
             except (CanserError, OSError) as error:
                 return 0, str(error).removeprefix(f"{self._url}: ")
-        if not count and left < _HOLD:
+        if not count and left < _HOLD_S:
             return 0, NO_MORE
         return count, ""
 
@@ -163,7 +164,7 @@ class Link:
     def _run(self) -> None:
         try:
             self._keep_draining()
-        except Exception as error:  # noqa: BLE001 - whoever reads would wait for ever
+        except Exception as error:  # noqa: BLE001 - a reader would wait for ever
             self._ring.close(error)
         finally:
             if self._closing.is_set():
@@ -182,7 +183,7 @@ class Link:
                 if not self._reconnect or not isinstance(error, PortGoneError):
                     self._ring.close(error)
                     return
-                self.last_beat = 0
+                self.last_heartbeat = 0
                 self._ring.interrupt(self._clock(), "reconnect")
                 self._come_back()
 
@@ -191,14 +192,14 @@ class Link:
         ring, clock, closing = self._ring, self._clock, self._closing
         scratch = memoryview(bytearray(_SCRATCH))
         begin = due = time.monotonic()
-        came, rest = 0, _REST
+        came, rest = 0, _REST_S
         while not closing.is_set():
             timeout = None
-            if self._beat:
+            if self._heartbeat:
                 now = time.monotonic()
                 if now >= due:
-                    self._send_beat(line)
-                    due = max(due + self._beat_s, now)
+                    self._send_heartbeat(line)
+                    due = max(due + self._heartbeat_s, now)
                 timeout = max(due - now, 0)
             room = ring.room()
             count = line.read_into(scratch if room is None else room, timeout)
@@ -211,10 +212,10 @@ class Link:
             came += count
             if rest and count < _SMALL:
                 time.sleep(rest)
-            if (now := time.monotonic()) - begin > _WINDOW:
+            if (now := time.monotonic()) - begin > _WINDOW_S:
                 busy = came * self._byte_s / (now - begin)
                 # Faster than its bits are lines that have none, such as pseudo terminals.
-                rest = 0.0 if busy > 1.5 else _REST_BUSY if busy > _BUSY else _REST
+                rest = 0.0 if busy > 1.5 else _REST_BUSY_S if busy > _BUSY else _REST_S
                 begin, came = now, 0
 
     def _keep(self, data: memoryview) -> None:
@@ -227,19 +228,19 @@ class Link:
         if data:
             self._ring.lose(len(data), self._clock())
 
-    def _send_beat(self, line: Line) -> None:
+    def _send_heartbeat(self, line: Line) -> None:
         # Never into the middle of a packet: then the next one will do.
         if self._writing.acquire(blocking=False):
             try:
-                if not self._rest and (sent := line.write(memoryview(self._beat), 0)):
-                    self._rest = memoryview(self._beat)[sent:]
-                    self.last_beat = self._clock()
+                if not self._rest and (sent := line.write(memoryview(self._heartbeat), 0)):
+                    self._rest = memoryview(self._heartbeat)[sent:]
+                    self.last_heartbeat = self._clock()
             finally:
                 self._writing.release()
 
     def _come_back(self) -> None:
         """Open the line anew, whenever that is possible."""
-        pause, longest = _RETRY
+        pause, longest = _RETRY_S
         while not self._closing.wait(pause):
             # Whoever writes has to leave first: no packet may go on on another line.
             if not self._writing.acquire(blocking=False):
