@@ -4,7 +4,7 @@ import pytest
 
 import canser
 from canser._frames import FrameArray
-from canser.analysis.ids import Tally
+from canser.analysis.tally import Tally
 from canser.codec.decoder import Control, Stats
 from canser.commands import _report as report
 from canser.simulation.traffic import vehicle

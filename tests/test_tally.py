@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import canser
 import shared
 from canser._frames import FrameArray
-from canser.analysis.ids import Steps, Tally
+from canser.analysis.tally import Steps, Tally
 from canser.simulation.traffic import damage, vehicle
 from reference import NO_TIME, Frame
 from samples import FRAMES, MILLISECOND, SECOND, array, timed

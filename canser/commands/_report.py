@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import Final
 
-from canser.analysis.ids import Tally
+from canser.analysis.tally import Tally
 from canser.codec.decoder import Control, Stats
 from canser.files.fits import Fit
 from canser.recording.recording import RecordingInfo
