@@ -4,9 +4,9 @@ import pytest
 
 import canser
 from canser._frames import FrameArray
+from canser.analysis import report
 from canser.analysis.tally import Tally
 from canser.codec.decoder import Control, Stats
-from canser.commands import _report as report
 from canser.simulation.traffic import vehicle
 from reference import NO_TIME, Frame
 from samples import EPOCH, MILLISECOND, SECOND, array, timed

@@ -5,7 +5,7 @@ import argparse
 from canser._output import check_apart, whole_file
 from canser._progress import Progress
 from canser._protocols import protocols
-from canser.commands import _report as report
+from canser.analysis import report
 from canser.commands._parser import GOOD, CallError, Commands, add_command, say
 from canser.commands._source import check_found, open_source, say_remarks, source_arguments
 from canser.files.conversion import convert

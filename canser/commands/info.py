@@ -8,9 +8,9 @@ import numpy as np
 
 from canser._progress import Progress
 from canser._protocols import protocols
+from canser.analysis import report
 from canser.analysis.tally import Tally
 from canser.codec.decoder import Control
-from canser.commands import _report as report
 from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, show
 from canser.commands._source import (
     ProtocolNeededError,
