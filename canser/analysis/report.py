@@ -1,16 +1,25 @@
-"""The texts that the command prints: summaries and tables, from numbers."""
+"""The texts of what there is to say of a stream of frames: lines and tables, from numbers."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
-from typing import Final
+from typing import Any, Final
 
-from canser.analysis.tally import Tally
+import numpy as np
+import numpy.typing as npt
+
 from canser.codec.decoder import Control, Stats
 from canser.files.fits import Fit
 from canser.recording.recording import RecordingInfo
-from canser.timing.restarts import Clock
 
-__all__ = ["conservation", "fit_lines", "info_lines", "recording_lines", "reject_text"]
+__all__ = [
+    "conservation",
+    "fit_lines",
+    "id_lines",
+    "recording_lines",
+    "reject_text",
+    "stats_lines",
+    "time_text",
+]
 
 
 # Nanoseconds since 1970: a time this late is no device's counter.
@@ -32,7 +41,7 @@ def reject_text(stats: Stats) -> str:
     return ", ".join(f"{name} {count:,}" for name, count in reasons if count)
 
 
-def fit_lines(fits: list[Fit], size: int) -> Iterator[str]:
+def fit_lines(fits: Sequence[Fit], size: int) -> Iterator[str]:
     """Yield the ranking of the protocols for a file of `size` bytes, with its evidence."""
     yield "protocol    score  explained  by chance   frames  resyncs"
     for fit in fits:
@@ -52,43 +61,18 @@ def recording_lines(info: RecordingInfo) -> Iterator[str]:
         yield f"bus        {info.bitrate:,} bit/s"
 
 
-def info_lines(tally: Tally, stats: Stats | None, controls: list[Control]) -> Iterator[str]:
-    """Yield what there is to say of a file: its frames, its bytes, its ids."""
-    span = tally.clock.span_ns
-    per_second = f", {tally.count / span * 1e9:,.1f}/s" if span and span > 0 else ""
-    yield f"frames     {tally.count:,}{per_second}"
-    kinds = [
-        f"{count:,} {name}"
-        for name, count in (
-            ("standard", tally.count - tally.extended),
-            ("extended", tally.extended),
-            ("remote", tally.remote),
-            ("error", tally.errors),
-        )
-        if count
-    ]
-    if kinds:
-        yield f"kinds      {', '.join(kinds)}"
-    yield f"ids        {len(tally.ids):,}"
-    yield f"time       {_time_text(tally.clock)}"
-    dlc = ", ".join(f"{dlc}: {count:,}" for dlc, count in enumerate(tally.dlc) if count)
-    yield f"dlc        {dlc or '-'}"
-    if stats is not None:
-        yield from _stats_lines(stats, controls)
-    if tally.ids:
-        yield ""
-        yield from _id_lines(tally)
-
-
-def _time_text(clock: Clock) -> str:
-    if clock.span_ns is None or clock.first is None or clock.last is None:
+def time_text(
+    first_ns: int | None, last_ns: int | None, span_ns: int | None, restarts: int, false_times: int
+) -> str:
+    """Return how long a stream takes, and from when to when."""
+    if first_ns is None or last_ns is None or span_ns is None:
         return "not known: there are no times in it"
-    text = f"{clock.span_ns / 1e9:,.3f} s"
-    if clock.restarts:
-        text += f" without the jumps of the clock ({clock.restarts:,})"
+    text = f"{span_ns / 1e9:,.3f} s"
+    if restarts:
+        text += f" without the jumps of the clock ({restarts:,})"
     else:
-        text += f", from {_seconds(clock.first)} to {_seconds(clock.last)}"
-    return text + (f"; false times left out: {clock.false_times:,}" if clock.false_times else "")
+        text += f", from {_seconds(first_ns)} to {_seconds(last_ns)}"
+    return text + (f"; false times left out: {false_times:,}" if false_times else "")
 
 
 def _seconds(ts: int) -> str:
@@ -99,7 +83,8 @@ def _seconds(ts: int) -> str:
     return f"{text} ({datetime.fromtimestamp(ts / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC)"
 
 
-def _stats_lines(stats: Stats, controls: list[Control]) -> Iterator[str]:
+def stats_lines(stats: Stats, controls: Sequence[Control]) -> Iterator[str]:
+    """Yield the counters of a decoder, and the first control packets."""
     yield f"bytes      {conservation(stats)}"
     yield f"resyncs    {stats.resyncs:,}"
     if stats.bytes_skipped:
@@ -113,20 +98,21 @@ def _stats_lines(stats: Stats, controls: list[Control]) -> Iterator[str]:
         yield f"           and {stats.controls - 4:,} more"
 
 
-def _id_lines(tally: Tally) -> Iterator[str]:
-    span = tally.clock.span_ns
+def id_lines(ids: npt.NDArray[np.void]) -> Iterator[str]:
+    """Yield the table of ids, rows of `FileInfo.ids`."""
     yield "      id     frames   share     rate/s   period ms  dlc"
-    # Most frequent first: what noise makes up stands at the end.
-    most_first = sorted(tally.ids.items(), key=lambda item: (-item[1].count, item[0][::-1]))
-    for (arbitration_id, ext), one in most_first:
-        name = f"{arbitration_id:08X}" if ext else f"{arbitration_id:03X}"
-        rate = f"{one.count / span * 1e9:10,.2f}" if span and span > 0 else f"{'-':>10}"
-        period = one.period_ns
-        every = f"{period / 1e6:11,.2f}" if period else f"{'-':>11}"
-        dlc = str(one.dlc_least)
-        if one.dlc_most > one.dlc_least:
-            dlc += f"..{one.dlc_most}"
-        if one.remote:
-            dlc += "  remote" if one.remote == one.count else f"  {one.remote:,} remote"
-        share = one.count / tally.count
-        yield f"{name:>8} {one.count:10,} {share:7.2%} {rate} {every}  {dlc}"
+    for values in ids.tolist():
+        row: dict[str, Any] = dict(zip(ids.dtype.names or (), values, strict=True))
+        name = f"{row['id']:08X}" if row["ext"] or row["err"] else f"{row['id']:03X}"
+        # A number is not known where it is not equal to itself: NaN.
+        rate = f"{row['rate']:10,.2f}" if row["rate"] == row["rate"] else f"{'-':>10}"
+        period = f"{row['period'] / 1e6:11,.2f}" if row["period"] == row["period"] else f"{'-':>11}"
+        dlc = str(row["dlc_least"])
+        if row["dlc_most"] > row["dlc_least"]:
+            dlc += f"..{row['dlc_most']}"
+        if row["err"]:
+            dlc += "  error"
+        if row["remote"]:
+            remote = row["remote"]
+            dlc += "  remote" if remote == row["count"] else f"  {remote:,} remote"
+        yield f"{name:>8} {row['count']:10,} {row['share']:7.2%} {rate} {period}  {dlc}"

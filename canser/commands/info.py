@@ -2,25 +2,18 @@
 
 import argparse
 import os
-import stat
-
-import numpy as np
 
 from canser._progress import Progress
 from canser._protocols import protocols
 from canser.analysis import report
-from canser.analysis.tally import Tally
-from canser.codec.decoder import Control
-from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, show
+from canser.analysis.summary import info, rank_protocols
+from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, say, show
 from canser.commands._source import (
     ProtocolNeededError,
-    check_found,
-    open_source,
-    say_remarks,
+    options_named,
+    refuse_doubtful,
     source_arguments,
 )
-from canser.files.fits import Fit, identify
-from canser.files.frame_file import FrameFile
 
 __all__ = ["add"]
 
@@ -40,46 +33,36 @@ def add(commands: Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    tally = Tally()
-    with Progress(f"reading {args.source}") as progress, _open(args, progress) as source:
-        for frames in source:
-            tally.add(frames)
-        stats, controls = None, list[Control]()
-        if source.decoder is not None:
-            stats, controls = source.decoder.stats, source.decoder.take_controls()
-    if source.recording is not None:
-        show(report.recording_lines(source.recording))
-    show(report.info_lines(tally, stats, controls))
-    say_remarks(source)
-    check_found(source, as_is=args.as_is)
+    try:
+        with Progress(f"reading {args.source}") as progress, options_named():
+            found = info(
+                args.source,
+                args.protocol,
+                ts_unit=args.ts_unit,
+                format=args.source_format,
+                as_is=args.as_is,
+                progress=progress,
+            )
+    except ProtocolNeededError:
+        raise _no_protocol(args.source) from None
+    show(found.lines())
+    for remark in found.remarks:
+        say(f"{found.name}: {remark}")
+    if found.protocol is not None and found.stats is not None and not args.as_is:
+        refuse_doubtful(found.name, found.protocol, found.stats, found.doubt)
     return GOOD
 
 
-def _open(args: argparse.Namespace, progress: Progress) -> FrameFile:
-    """Open IN; raw bytes of which nobody said the protocol in the one that fits."""
-    try:
-        return open_source(args, progress)
-    except ProtocolNeededError:
-        args.protocol = _identify(args).protocol
-        return open_source(args, progress)
-
-
-def _identify(args: argparse.Namespace) -> Fit:
-    """Print which protocol fits the bytes of IN; raise DataError if none does."""
-    mode = 0 if args.source == "-" else os.stat(args.source).st_mode  # noqa: PTH116
-    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-        name = "standard input" if args.source == "-" else args.source
-        raise CallError(
+def _no_protocol(path: str) -> CallError | DataError:
+    """Print which protocols fit a file, and return the error that none does."""
+    if path == "-" or not os.path.isfile(path):  # noqa: PTH113
+        name = "standard input" if path == "-" else path
+        return CallError(
             f"{name} can be read only once: name its protocol with -p "
             f"({', '.join(protocols())}), or put it into a file first"
         )
-    if os.path.getsize(args.source) == 0:  # noqa: PTH202
-        raise DataError(f"{args.source} is empty")
-    raw = np.memmap(args.source, np.uint8, mode="r")
-    fits = identify(raw)
-    best = fits[0]
-    show([*report.fit_lines(fits, len(raw)), ""])
-    if not best.fits:
-        raise DataError(f"no protocol fits {args.source}; name it with -p if you know better")
-    show([f"protocol   {best.protocol}, which explains {best.score:.1%} of it beyond chance"])
-    return best
+    size = os.path.getsize(path)  # noqa: PTH202
+    if size == 0:
+        return DataError(f"{path} is empty")
+    show([*report.fit_lines(rank_protocols(path), size), ""])
+    return DataError(f"no protocol fits {path}; name it with -p if you know better")

@@ -1,0 +1,328 @@
+"""What is in a file of frames or raw bytes: `canser.info`, and the object that it returns."""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from canser._core.stream import Control
+from canser._frames import FrameArray
+from canser.analysis import report
+from canser.analysis.ids import ID_DTYPE, IdRows, IdStatistics
+from canser.analysis.steps import StepStatistics
+from canser.codec.decoder import Decoder, Stats
+from canser.errors import NoProtocolError
+from canser.files.fits import Fit, identify
+from canser.files.frame_file import FORMATS, FrameFile, format_of
+from canser.recording.recording import RecordingInfo
+
+__all__ = ["FileInfo", "FrameSource", "info", "rank_protocols", "summarise"]
+
+_ROW_DTYPE: Final[np.dtype[np.void]] = np.dtype(
+    [
+        *((name, ID_DTYPE[name]) for name in ID_DTYPE.names or () if name != "rtr"),
+        ("share", np.float64),
+        ("rate", np.float64),
+        ("period", np.float64),
+        ("period_p99", np.float64),
+    ],
+    align=True,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FileInfo:
+    """What is in a file: frames, times, ids, bytes. `str` of it is the text of `canser info`.
+
+    Times are nanoseconds. A step back of the clock of more than a second is a restart, or a
+    false time out of noise; neither makes a span longer, a rate lower or a period.
+
+    Attributes
+    ----------
+    name : str
+        The file.
+    frames : int
+        Frames of all kinds: `standard` + `extended`.
+    standard, extended : int
+        Frames by the length of their id, 11 or 29 bits.
+    remote, errors : int
+        Remote frames and error frames among them.
+    dlc : tuple of int
+        Frames by their dlc, 0 to 8: nine numbers.
+    first, last : int or None
+        The first and the last time, None where no time is known.
+    span : int or None
+        The time from first to last, of each run of the clock, in sum.
+    restarts : int
+        How often the clock restarted.
+    false_times : int
+        Times that are left out, as they fit neither those before nor those behind them.
+    rate : float or None
+        Frames a second: `frames` / `span`.
+    ids : ndarray
+        A row for each id, the most frequent first, shape (n,). An id may have two or three rows:
+        standard, extended, and of error frames. Read-only. The fields:
+        `id` (uint32), `ext`, `err` (bool);
+        `count`, `remote` (int64): frames, and remote frames among them;
+        `dlc_least`, `dlc_most` (uint8);
+        `first`, `last` (int64): times of the first and the last frame, `canser.NO_TIME` if not
+        known;
+        `share` (float64): of all frames, 0 to 1;
+        `rate` (float64): `count` / `span`, frames a second, NaN if not known;
+        `period`, `period_p99` (float64): median and 99th percentile of the steps of time from one
+        frame of the id to the next, NaN if there are none. Steps back and steps across a restart
+        do not count. Exact for ids with up to 1,024 steps, and for a clock of milliseconds; else
+        within 1/128.
+    protocol : str or None
+        Of raw bytes and recordings, None for files of frames, as are the next four.
+    stats : Stats or None
+        The counters of the decoder.
+    controls : tuple of Control
+        Control packets, the last 65,536 if there are more.
+    recording : RecordingInfo or None
+        What a recording knows of its line.
+    doubt : str
+        Why the bytes are not of the protocol, "" if they may be.
+    remarks : tuple of str
+        What else is to be known: what is damaged, lost, or was not read.
+    fits : tuple of Fit
+        How well the protocols fit, the best first, if the protocol was found so; else empty.
+    """
+
+    name: str
+    frames: int
+    standard: int
+    extended: int
+    remote: int
+    errors: int
+    dlc: tuple[int, ...]
+    first: int | None
+    last: int | None
+    span: int | None
+    restarts: int
+    false_times: int
+    rate: float | None
+    ids: IdRows
+    protocol: str | None = None
+    stats: Stats | None = None
+    controls: tuple[Control, ...] = ()
+    recording: RecordingInfo | None = None
+    doubt: str = ""
+    remarks: tuple[str, ...] = ()
+    fits: tuple[Fit, ...] = ()
+
+    def __str__(self) -> str:
+        return "\n".join([*self.lines(), *self._notes()])
+
+    def lines(self) -> Iterator[str]:
+        """Yield the text line by line, without the remarks and the doubt that `str` ends with."""
+        if self.fits and self.stats is not None:
+            best = self.fits[0]
+            yield from report.fit_lines(self.fits, self.stats.bytes_in)
+            yield ""
+            yield f"protocol   {best.protocol}, which explains {best.score:.1%} of it beyond chance"
+        if self.recording is not None:
+            yield from report.recording_lines(self.recording)
+        per_second = "" if self.rate is None else f", {self.rate:,.1f}/s"
+        yield f"frames     {self.frames:,}{per_second}"
+        kinds = {name: getattr(self, name) for name in ("standard", "extended", "remote")}
+        kinds["error"] = self.errors
+        if self.frames:
+            told = ", ".join(f"{count:,} {name}" for name, count in kinds.items() if count)
+            yield f"kinds      {told}"
+        yield f"ids        {len(self.ids):,}"
+        times = report.time_text(self.first, self.last, self.span, self.restarts, self.false_times)
+        yield f"time       {times}"
+        dlc = ", ".join(f"{dlc}: {count:,}" for dlc, count in enumerate(self.dlc) if count)
+        yield f"dlc        {dlc or '-'}"
+        if self.stats is not None:
+            yield from report.stats_lines(self.stats, self.controls)
+        if len(self.ids):
+            yield ""
+            yield from report.id_lines(self.ids)
+
+    def _notes(self) -> Iterator[str]:
+        if self.doubt or self.remarks:
+            yield ""
+        yield from (f"{self.name}: {remark}" for remark in self.remarks)
+        if self.doubt:
+            yield self.doubt
+
+
+class FrameSource(Protocol):
+    """A file that is open: an iterator of blocks of frames, and what it knows besides."""
+
+    @property
+    def name(self) -> str:
+        """What messages call the file."""
+
+    @property
+    def decoder(self) -> Decoder | None:
+        """The decoder of raw bytes."""
+
+    @property
+    def recording(self) -> RecordingInfo | None:
+        """What a recording knows of its line."""
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """What is to be known besides, complete at the end."""
+
+    @property
+    def doubt(self) -> str:
+        """Why the bytes are not of the protocol, "" if they may be."""
+
+    def __iter__(self) -> Iterator[FrameArray]: ...
+
+
+def info(
+    source: str | os.PathLike[str],
+    protocol: str | None = None,
+    *,
+    ts_unit: str | None = None,
+    format: str | None = None,  # noqa: A002 - as in `canser.read`
+    as_is: bool = False,
+    progress: Callable[[int, int | None], None] | None = None,
+) -> FileInfo:
+    """Read a file to its end and tell what is in it, in bounded memory.
+
+    Parameters
+    ----------
+    source : path
+        A file of raw bytes, a recording, or a file of frames; "-" for the standard input.
+    protocol : str, optional
+        The protocol of raw bytes. Without it, or with "auto", the one that fits them best.
+    ts_unit : {"s", "ms", "us", "ns"}, optional
+        Unit of the device's timestamps in raw bytes, "ms" if it is not given.
+    format : {"raw", "npy", "csv", "log"}, optional
+        The format of the file, by its suffix if it is not given; "raw" for recordings, too.
+    as_is : bool
+        Read the bytes in `protocol` though they are plainly another format's, or a recording
+        says another protocol.
+    progress : callable, optional
+        Called after each block with the bytes done and the bytes in all, None if not known.
+
+    Returns
+    -------
+    FileInfo
+        Its `str` is what `canser info` prints.
+
+    Raises
+    ------
+    NoProtocolError
+        For raw bytes that fit no protocol; those of a pipe need their `protocol`.
+    FormatError, ValueError, OSError
+        As `canser.blocks` raises them.
+
+    Examples
+    --------
+    >>> frames = np.zeros(3, canser.FRAME_DTYPE)
+    >>> frames["id"], frames["ts"] = 0x123, [0, 10_000_000, 20_000_000]
+    >>> _ = Path("run.bin").write_bytes(canser.encode(frames, "serial"))
+    >>> found = canser.info("run.bin", "serial")
+    >>> found.span, found.ids["period"] / 1e6
+    (20000000, array([10.]))
+    >>> print(found)
+    frames     3, 150.0/s
+    kinds      3 standard
+    ids        1
+    time       0.020 s, from 0.000 to 0.020
+    dlc        0: 3
+    bytes      33 bytes = 33 framed + 0 control + 0 skipped + 0 pending
+    resyncs    0
+    controls   0
+    <BLANKLINE>
+          id     frames   share     rate/s   period ms  dlc
+         123          3 100.00%     150.00       10.00  0
+    """
+    path = os.fspath(source)
+    file_format = format_of(path, format)
+    if file_format not in FORMATS:
+        raise ValueError(f"unknown format {file_format!r}; have: {', '.join(FORMATS)}")
+
+    def opened(protocol: str | None) -> FrameFile:
+        return FrameFile(
+            path, file_format, protocol=protocol, ts_unit=ts_unit, as_is=as_is, progress=progress
+        )
+
+    fits: list[Fit] = []
+    try:
+        file = opened(protocol)
+    except NoProtocolError:
+        fits = rank_protocols(path)
+        if not fits or not fits[0].fits:
+            raise
+        file = opened(fits[0].protocol)
+    with file:
+        return summarise(file, fits)
+
+
+def rank_protocols(path: str) -> list[Fit]:
+    """Return how well the protocols fit a file, the best first; [] for a pipe or an empty file."""
+    if not Path(path).is_file() or not Path(path).stat().st_size:
+        return []
+    return identify(np.memmap(path, np.uint8, mode="r"))
+
+
+def summarise(source: FrameSource, fits: Sequence[Fit] = ()) -> FileInfo:
+    """Read a file that is open to its end and tell what is in it.
+
+    `fits`: how the protocol was found, if it was.
+    """
+    statistics, steps = IdStatistics(remote_apart=False), StepStatistics()
+    dlc = np.zeros(9, np.int64)
+    for frames in source:
+        batch = statistics.add(frames)
+        steps.add(np.repeat(batch.places, batch.step_counts), batch.steps)
+        dlc += np.bincount(frames["dlc"], minlength=9)[:9]
+    clock = statistics.clock
+    span = clock.span_ns
+    seconds = span / 1e9 if span else None
+    ids = _complete(statistics, steps, seconds)
+    extended = int(ids["count"] @ ids["ext"])
+    decoder = source.decoder
+    return FileInfo(
+        name=source.name,
+        frames=statistics.frames,
+        standard=statistics.frames - extended,
+        extended=extended,
+        remote=int(ids["remote"].sum()),
+        errors=int(ids["count"] @ ids["err"]),
+        dlc=tuple(dlc.tolist()),
+        first=clock.first,
+        last=clock.last,
+        span=span,
+        restarts=clock.restarts,
+        false_times=clock.false_times,
+        rate=None if seconds is None else statistics.frames / seconds,
+        ids=ids,
+        protocol=None if decoder is None else decoder.protocol,
+        stats=None if decoder is None else decoder.stats,
+        controls=() if decoder is None else tuple(decoder.take_controls()),
+        recording=source.recording,
+        doubt=source.doubt,
+        remarks=tuple(source.remarks),
+        fits=tuple(fits),
+    )
+
+
+def _complete(
+    statistics: IdStatistics, steps: StepStatistics, seconds: float | None
+) -> npt.NDArray[np.void]:
+    """Return the rows of all ids, the most frequent first."""
+    counted = statistics.rows()
+    ids = np.zeros(len(counted), _ROW_DTYPE)
+    for name in ID_DTYPE.names or ():
+        if name != "rtr":
+            ids[name] = counted[name]
+    medians, p99s = steps.median_and_p99(len(statistics))
+    ids["share"] = ids["count"] / statistics.frames
+    ids["rate"] = np.nan if seconds is None else ids["count"] / seconds
+    ids["period"], ids["period_p99"] = medians[statistics.places], p99s[statistics.places]
+    ids = ids.take(np.argsort(-ids["count"], kind="stable"))
+    ids.flags.writeable = False
+    return ids
