@@ -67,8 +67,8 @@ def test_a_protocol_that_is_not_given_is_found() -> None:
 def test_a_recording_knows_its_line() -> None:
     found = canser.info("run.pcapng")
     assert (found.recording, found.protocol, found.fits) == (RECORDED, "seeed", ())
-    assert found.first is not None
-    assert found.first >= 1_699_999_990 * SECOND
+    assert found.first_ns is not None
+    assert found.first_ns >= 1_699_999_990 * SECOND
 
 
 @pytest.mark.usefixtures("folder")
@@ -76,7 +76,12 @@ def test_a_file_of_frames_has_no_bytes() -> None:
     found = canser.info("run.log")
     assert (found.protocol, found.stats, found.recording, found.controls) == (None, None, None, ())
     assert found.remarks == ("frames of 2 channels become one: can0 1, can1 1",)
-    assert (found.first, found.last, found.span, found.rate) == (SECOND, 2 * SECOND, SECOND, 2.0)
+    assert (found.first_ns, found.last_ns, found.span_ns, found.rate) == (
+        SECOND,
+        2 * SECOND,
+        SECOND,
+        2.0,
+    )
 
 
 def test_noise_fits_no_protocol(folder: Path) -> None:
@@ -111,11 +116,11 @@ def test_an_id_has_share_rate_period_and_times() -> None:
     frames = [Frame(2, ts=0), *[Frame(3, ts=0)] * 100, *(Frame(1, ts=ts) for ts in late)]
     (one, three, two) = info_of(array(*frames)).ids
     assert (one["id"], two["id"], three["id"]) == (1, 2, 3)
-    assert (one["period"], one["period_p99"]) == (10 * MILLISECOND, 20 * MILLISECOND)
-    assert (one["first"], one["last"], one["rate"]) == (0, SECOND, 100)
+    assert (one["period_ns"], one["period_p99_ns"]) == (10 * MILLISECOND, 20 * MILLISECOND)
+    assert (one["first_ns"], one["last_ns"], one["rate"]) == (0, SECOND, 100)
     assert two["share"] == 1 / 201
-    assert np.isnan(two["period"])
-    assert np.isnan(two["period_p99"])
+    assert np.isnan(two["period_ns"])
+    assert np.isnan(two["period_p99_ns"])
 
 
 def test_error_frames_have_a_row_of_their_own() -> None:
@@ -123,7 +128,7 @@ def test_error_frames_have_a_row_of_their_own() -> None:
         Frame(4, ts=0), Frame(4, err=True, ts=3), Frame(4, err=True, ts=5), Frame(4, ts=7)
     )
     found = info_of(frames)
-    assert found.ids[["id", "err", "count", "period"]].tolist() == [
+    assert found.ids[["id", "err", "count", "period_ns"]].tolist() == [
         (4, False, 2, 7.0),
         (4, True, 2, 2.0),
     ]

@@ -35,7 +35,7 @@ def facts(found: FileInfo) -> Any:
 
 def period_ns(*ts: int) -> float | None:
     """Return the period of an id with these times, None if it has none."""
-    period = float(ids(info_of(timed(*ts)))[0x100, False]["period"])
+    period = float(ids(info_of(timed(*ts)))[0x100, False]["period_ns"])
     return None if np.isnan(period) else period
 
 
@@ -43,7 +43,7 @@ def test_nothing_amounts_to_nothing() -> None:
     total = info_of(array())
     assert facts(total) == facts(info_of())
     assert total.frames == 0
-    assert total.span is None
+    assert total.span_ns is None
 
 
 def test_kinds_are_counted() -> None:
@@ -90,8 +90,8 @@ def test_an_id_has_its_own_period() -> None:
     fast = [Frame(1, ts=number * TEN_MS) for number in range(100)]
     slow = [Frame(2, ts=number * 10 * TEN_MS) for number in range(10)]
     total = info_of(array(*sorted(fast + slow, key=lambda frame: frame.ts)))
-    assert ids(total)[1, False]["period"] == TEN_MS
-    assert ids(total)[2, False]["period"] == 10 * TEN_MS
+    assert ids(total)[1, False]["period_ns"] == TEN_MS
+    assert ids(total)[2, False]["period_ns"] == 10 * TEN_MS
 
 
 @given(FRAMES, st.lists(st.integers(0, 20)))
@@ -123,11 +123,11 @@ def test_only_steps_forward_make_a_period() -> None:
 
 def test_unknown_times_take_no_part() -> None:
     unknown = info_of(timed(NO_TIME, NO_TIME))
-    assert unknown.span is None
+    assert unknown.span_ns is None
     assert period_ns(NO_TIME, NO_TIME) is None
     mixed = info_of(timed(NO_TIME, 0, NO_TIME, SECOND, NO_TIME))
-    assert mixed.span == SECOND
-    assert ids(mixed)[0x100, False]["period"] == SECOND
+    assert mixed.span_ns == SECOND
+    assert ids(mixed)[0x100, False]["period_ns"] == SECOND
 
 
 def test_no_step_leads_across_a_restart() -> None:
@@ -137,10 +137,10 @@ def test_no_step_leads_across_a_restart() -> None:
     frames = [Frame(2, ts=0), *run, Frame(2, ts=run[-1].ts), *run, *late]
     total = info_of(array(*frames[:-1]))
     assert total.restarts == 1
-    assert ids(total)[1, False]["period"] == TEN_MS
-    assert ids(total)[2, False]["period"] == run[-1].ts
+    assert ids(total)[1, False]["period_ns"] == TEN_MS
+    assert ids(total)[2, False]["period_ns"] == run[-1].ts
     total = info_of(array(*frames))
-    assert ids(total)[2, False]["period"] == (run[-1].ts + 2 * SECOND) / 2
+    assert ids(total)[2, False]["period_ns"] == (run[-1].ts + 2 * SECOND) / 2
 
 
 @pytest.mark.parametrize("place", [1, 50, 99])
@@ -148,8 +148,8 @@ def test_no_step_leads_across_a_restart() -> None:
 def test_a_false_time_out_of_noise_does_not_spoil_span_and_period(place: int, false: int) -> None:
     times = [number * TEN_MS for number in range(100)]
     noisy = info_of(timed(*times[:place], times[place] + false, *times[place:]))
-    assert noisy.span == 99 * TEN_MS
-    assert ids(noisy)[0x100, False]["period"] == TEN_MS
+    assert noisy.span_ns == 99 * TEN_MS
+    assert ids(noisy)[0x100, False]["period_ns"] == TEN_MS
 
 
 def test_a_restart_of_the_device_counts_both_runs() -> None:
@@ -157,8 +157,8 @@ def test_a_restart_of_the_device_counts_both_runs() -> None:
     after = range(0, 50 * TEN_MS, TEN_MS)
     restarted = info_of(timed(*before, *after))
     assert restarted.restarts == 1
-    assert restarted.span == (99 + 49) * TEN_MS
-    assert ids(restarted)[0x100, False]["period"] == TEN_MS
+    assert restarted.span_ns == (99 + 49) * TEN_MS
+    assert ids(restarted)[0x100, False]["period_ns"] == TEN_MS
 
 
 # Captures that are joined
@@ -166,7 +166,7 @@ def test_a_restart_of_the_device_counts_both_runs() -> None:
 
 def periods(total: FileInfo) -> dict[tuple[int, bool], float | None]:
     """Return the periods of the ids that are no noise."""
-    return {key: row["period"] for key, row in ids(total).items() if row["count"] >= 10}
+    return {key: row["period_ns"] for key, row in ids(total).items() if row["count"] >= 10}
 
 
 def decoded(raw: bytes) -> FileInfo:
@@ -181,8 +181,8 @@ VEHICLE = canser.encode(vehicle(20), "serial")
 @pytest.mark.parametrize("times", [1, 2, 3])
 def test_a_capture_joined_to_itself_has_the_same_rates_and_periods(times: int) -> None:
     one, joined = decoded(VEHICLE), decoded(VEHICLE * times)
-    assert one.span is not None
-    assert (joined.frames, joined.span) == (times * one.frames, times * one.span)
+    assert one.span_ns is not None
+    assert (joined.frames, joined.span_ns) == (times * one.frames, times * one.span_ns)
     assert (joined.restarts, joined.false_times) == (times - 1, 0)
     assert periods(joined) == periods(one)
 
@@ -190,10 +190,10 @@ def test_a_capture_joined_to_itself_has_the_same_rates_and_periods(times: int) -
 def test_noise_and_a_restart_change_neither_rates_nor_periods() -> None:
     one = decoded(VEHICLE)
     noisy = decoded(damage(VEHICLE * 2, noise=1e-3).data)
-    assert one.span is not None
+    assert one.span_ns is not None
     assert noisy.restarts == 1
     assert noisy.false_times > 10
-    assert noisy.span == pytest.approx(2 * one.span, rel=0.001)
+    assert noisy.span_ns == pytest.approx(2 * one.span_ns, rel=0.001)
     found = periods(noisy)
     assert periods(one).keys() <= found.keys()
     for key, period in periods(one).items():
@@ -205,7 +205,7 @@ def test_captures_joined_the_wrong_way_round_add_up() -> None:
     early, late = frames[: len(frames) // 2], frames[len(frames) // 2 :]
     spans = [int(part["ts"][-1] - part["ts"][0]) for part in (early, late)]
     total = info_of(late, early)
-    assert (total.restarts, total.span) == (1, sum(spans))
+    assert (total.restarts, total.span_ns) == (1, sum(spans))
 
 
 def test_a_wrap_of_the_device_clock_is_no_restart() -> None:
@@ -213,10 +213,20 @@ def test_a_wrap_of_the_device_clock_is_no_restart() -> None:
     late["ts"] += (2**32 - 10_000) * MILLISECOND  # it wraps after 10 s
     raw = canser.encode(late, "serial")
     total = decoded(raw)
-    names = ["id", "ext", "err", "count", "remote", "dlc_least", "dlc_most", "period", "period_p99"]
+    names = [
+        "id",
+        "ext",
+        "err",
+        "count",
+        "remote",
+        "dlc_least",
+        "dlc_most",
+        "period_ns",
+        "period_p99_ns",
+    ]
     assert total.ids[names].tolist() == decoded(VEHICLE).ids[names].tolist()
-    assert (total.restarts, total.span) == (0, int(late["ts"][-1] - late["ts"][0]))
-    assert decoded(raw * 2).span == 2 * (total.span or 0)
+    assert (total.restarts, total.span_ns) == (0, int(late["ts"][-1] - late["ts"][0]))
+    assert decoded(raw * 2).span_ns == 2 * (total.span_ns or 0)
 
 
 @shared.needs_captures
@@ -239,8 +249,8 @@ def test_real_captures_joined_have_the_same_rates_and_periods(
     )["ts"]
     total = decoded(raw * times)
     assert total.restarts == times - 1
-    assert total.span == times * int(stamps[-1] - stamps[0])
-    assert ids(total)[arbitration_id, ext]["period"] == pytest.approx(
+    assert total.span_ns == times * int(stamps[-1] - stamps[0])
+    assert ids(total)[arbitration_id, ext]["period_ns"] == pytest.approx(
         period_ms * MILLISECOND, abs=MILLISECOND / 2
     )
 

@@ -23,19 +23,19 @@ ID_DTYPE: Final[np.dtype[np.void]] = np.dtype(
         ("dlc_most", np.uint8),
         ("count", np.int64),
         ("remote", np.int64),  # remote frames among them
-        ("first", np.int64),  # the first and the last known time, nanoseconds or NO_TIME
-        ("last", np.int64),
+        ("first_ns", np.int64),  # the first and the last known time, or NO_TIME
+        ("last_ns", np.int64),
     ],
     align=True,
 )
 
 # Those of its fields that a row counts; the others are in its key.
-_COUNTED: Final = ("dlc_least", "dlc_most", "count", "remote", "first", "last")
+_COUNTED: Final = ("dlc_least", "dlc_most", "count", "remote", "first_ns", "last_ns")
 
 _ROW_DTYPE: Final = np.dtype(
     [
         *((name, ID_DTYPE[name]) for name in _COUNTED),
-        ("stretch", np.int64),  # the stretch of the clock that `last` is of; 0 for none
+        ("stretch", np.int64),  # the stretch of the clock that `last_ns` is of; 0 for none
     ],
     align=True,
 )
@@ -184,7 +184,7 @@ class IdStatistics:
     def _grow(self, size: int) -> None:
         more = np.zeros(size - len(self._rows), _ROW_DTYPE)
         more["dlc_least"] = np.iinfo(np.uint8).max
-        more["first"] = more["last"] = NO_TIME
+        more["first_ns"] = more["last_ns"] = NO_TIME
         self._rows = np.concatenate([self._rows, more])
 
 
@@ -220,12 +220,12 @@ def _step(
         step_counts = np.zeros(len(rows), np.intp)
         step_counts[timed] = some_counts
         return steps, step_counts
-    before = previous(ts, rows["last"], starts)
+    before = previous(ts, rows["last_ns"], starts)
     forward = stretches == previous(stretches, rows["stretch"], starts)
     forward &= ts > before
-    rows["first"] = np.where(rows["stretch"] == 0, ts[starts], rows["first"])
+    rows["first_ns"] = np.where(rows["stretch"] == 0, ts[starts], rows["first_ns"])
     lasts = starts + counts - 1
-    rows["last"], rows["stretch"] = ts[lasts], stretches[lasts]
+    rows["last_ns"], rows["stretch"] = ts[lasts], stretches[lasts]
     # Unsigned: then the longest step is no overflow.
     steps = (ts - before).view(np.uint64)[forward]
     return steps, np.add.reduceat(forward, starts, dtype=np.intp)

@@ -106,7 +106,11 @@ def id_lines(ids: npt.NDArray[np.void]) -> Iterator[str]:
         name = f"{row['id']:08X}" if row["ext"] or row["err"] else f"{row['id']:03X}"
         # A number is not known where it is not equal to itself: NaN.
         rate = f"{row['rate']:10,.2f}" if row["rate"] == row["rate"] else f"{'-':>10}"
-        period = f"{row['period'] / 1e6:11,.2f}" if row["period"] == row["period"] else f"{'-':>11}"
+        period = (
+            f"{row['period_ns'] / 1e6:11,.2f}"
+            if row["period_ns"] == row["period_ns"]
+            else f"{'-':>11}"
+        )
         dlc = str(row["dlc_least"])
         if row["dlc_most"] > row["dlc_least"]:
             dlc += f"..{row['dlc_most']}"

@@ -27,8 +27,8 @@ _ROW_DTYPE: Final[np.dtype[np.void]] = np.dtype(
         *((name, ID_DTYPE[name]) for name in ID_DTYPE.names or () if name != "rtr"),
         ("share", np.float64),
         ("rate", np.float64),
-        ("period", np.float64),
-        ("period_p99", np.float64),
+        ("period_ns", np.float64),
+        ("period_p99_ns", np.float64),
     ],
     align=True,
 )
@@ -39,7 +39,7 @@ class FileInfo:
     """What is in a file: frames, times, ids, bytes. `str` of it is the text of `canser info`.
 
     Times are nanoseconds. A step back of the clock of more than a second is a restart, or a
-    false time out of noise; neither makes a span longer, a rate lower or a period.
+    false time out of noise. Neither changes a span, a rate or a period.
 
     Attributes
     ----------
@@ -53,38 +53,38 @@ class FileInfo:
         Remote frames and error frames among them.
     dlc : tuple of int
         Frames by their dlc, 0 to 8: nine numbers.
-    first, last : int or None
+    first_ns, last_ns : int or None
         The first and the last time, None where no time is known.
-    span : int or None
+    span_ns : int or None
         The time from first to last, of each run of the clock, in sum.
     restarts : int
         How often the clock restarted.
     false_times : int
         Times that are left out, as they fit neither those before nor those behind them.
     rate : float or None
-        Frames a second: `frames` / `span`.
+        Frames a second of `span_ns`.
     ids : ndarray
         A row for each id, the most frequent first, shape (n,). An id may have two or three rows:
         standard, extended, and of error frames. Read-only. The fields:
         `id` (uint32), `ext`, `err` (bool);
         `count`, `remote` (int64): frames, and remote frames among them;
         `dlc_least`, `dlc_most` (uint8);
-        `first`, `last` (int64): times of the first and the last frame, `canser.NO_TIME` if not
-        known;
+        `first_ns`, `last_ns` (int64): the first and the last known time, `canser.NO_TIME` if there
+        is none;
         `share` (float64): of all frames, 0 to 1;
-        `rate` (float64): `count` / `span`, frames a second, NaN if not known;
-        `period`, `period_p99` (float64): median and 99th percentile of the steps of time from one
-        frame of the id to the next, NaN if there are none. Steps back and steps across a restart
-        do not count. Exact for ids with up to 1,024 steps, and for a clock of milliseconds; else
-        within 1/128.
+        `rate` (float64): frames a second of `span_ns`, NaN if not known;
+        `period_ns`, `period_p99_ns` (float64): median and 99th percentile of the steps of time from
+        one frame of the id to the next, NaN if there are none. Steps back and steps across a
+        restart do not count. Exact for ids with up to 1,024 steps, and for a clock of milliseconds;
+        else within 1/128.
     protocol : str or None
-        Of raw bytes and recordings, None for files of frames, as are the next four.
+        Of raw bytes and recordings, None for files of frames.
     stats : Stats or None
-        The counters of the decoder.
+        The counters of the decoder, None for files of frames.
     controls : tuple of Control
         Control packets, the last 65,536 if there are more.
     recording : RecordingInfo or None
-        What a recording knows of its line.
+        What a recording knows of its line, None for other files.
     doubt : str
         Why the bytes are not of the protocol, "" if they may be.
     remarks : tuple of str
@@ -100,9 +100,9 @@ class FileInfo:
     remote: int
     errors: int
     dlc: tuple[int, ...]
-    first: int | None
-    last: int | None
-    span: int | None
+    first_ns: int | None
+    last_ns: int | None
+    span_ns: int | None
     restarts: int
     false_times: int
     rate: float | None
@@ -135,7 +135,9 @@ class FileInfo:
             told = ", ".join(f"{count:,} {name}" for name, count in kinds.items() if count)
             yield f"kinds      {told}"
         yield f"ids        {len(self.ids):,}"
-        times = report.time_text(self.first, self.last, self.span, self.restarts, self.false_times)
+        times = report.time_text(
+            self.first_ns, self.last_ns, self.span_ns, self.restarts, self.false_times
+        )
         yield f"time       {times}"
         dlc = ", ".join(f"{dlc}: {count:,}" for dlc, count in enumerate(self.dlc) if count)
         yield f"dlc        {dlc or '-'}"
@@ -224,7 +226,7 @@ def info(
     >>> frames["id"], frames["ts"] = 0x123, [0, 10_000_000, 20_000_000]
     >>> _ = Path("run.bin").write_bytes(canser.encode(frames, "serial"))
     >>> found = canser.info("run.bin", "serial")
-    >>> found.span, found.ids["period"] / 1e6
+    >>> found.span_ns, found.ids["period_ns"] / 1e6
     (20000000, array([10.]))
     >>> print(found)
     frames     3, 150.0/s
@@ -293,9 +295,9 @@ def summarise(source: FrameSource, fits: Sequence[Fit] = ()) -> FileInfo:
         remote=int(ids["remote"].sum()),
         errors=int(ids["count"] @ ids["err"]),
         dlc=tuple(dlc.tolist()),
-        first=clock.first,
-        last=clock.last,
-        span=span,
+        first_ns=clock.first,
+        last_ns=clock.last,
+        span_ns=span,
         restarts=clock.restarts,
         false_times=clock.false_times,
         rate=None if seconds is None else statistics.frames / seconds,
@@ -322,7 +324,7 @@ def _complete(
     medians, p99s = steps.median_and_p99(len(statistics))
     ids["share"] = ids["count"] / statistics.frames
     ids["rate"] = np.nan if seconds is None else ids["count"] / seconds
-    ids["period"], ids["period_p99"] = medians[statistics.places], p99s[statistics.places]
+    ids["period_ns"], ids["period_p99_ns"] = medians[statistics.places], p99s[statistics.places]
     ids = ids.take(np.argsort(-ids["count"], kind="stable"))
     ids.flags.writeable = False
     return ids
