@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import canser
+import shared
 from canser.commands.cli import main
 from canser.recording.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
@@ -134,3 +135,35 @@ def test_error_frames_have_a_row_of_their_own() -> None:
     ]
     assert [line.split()[0] for line in list(found.lines())[-2:]] == ["004", "00000004"]
     assert list(found.lines())[-1].endswith("  error")
+
+
+def test_the_most_frequent_ids_alone_are_shown_and_the_others_counted() -> None:
+    frames = array(*(Frame(number, ts=0) for number in (1, 2, 2, 3, 3, 3, 4)))
+    found = info_of(frames)
+    table = list(found.lines())[-5:]
+    assert list(found.lines(2))[-4:] == [*table[:3], "ids left out: 2; frames of them: 2"]
+    assert list(found.lines(3))[-1] == "ids left out: 1; frames of them: 1"
+    assert list(found.lines(4)) == list(found.lines(5)) == list(found.lines())
+    assert "ids        4" in list(found.lines(1))
+
+
+@pytest.mark.usefixtures("folder")
+def test_the_command_shows_the_most_frequent_ids(capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", "run.bin", "--top", "2"]) == 0
+    found = canser.info("run.bin")
+    assert capfd.readouterr().out.splitlines() == list(found.lines(2))
+    with pytest.raises(SystemExit):
+        main(["info", "run.bin", "--top", "0"])
+    assert "0 must be 1 or more" in capfd.readouterr().err
+
+
+@shared.needs_captures
+def test_the_example_of_the_help_is_what_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["info", "--help"])
+    shown = capfd.readouterr().out
+    assert (
+        main(["info", str(shared.CAPTURES / "car.serial.bin"), "-p", "serial", "--top", "2"]) == 0
+    )
+    printed = capfd.readouterr().out.splitlines()[-4:]
+    assert "".join(f"  {line}\n" for line in printed) in shown

@@ -118,8 +118,14 @@ class FileInfo:
     def __str__(self) -> str:
         return "\n".join([*self.lines(), *self._notes()])
 
-    def lines(self) -> Iterator[str]:
-        """Yield the text line by line, without the remarks and the doubt that `str` ends with."""
+    def lines(self, top: int | None = None) -> Iterator[str]:
+        """Yield the text line by line, without the remarks and the doubt that `str` ends with.
+
+        Parameters
+        ----------
+        top : int, optional
+            Show the most frequent ids only, this many at most, and how many are left out.
+        """
         if self.fits and self.stats is not None:
             best = self.fits[0]
             yield from report.fit_lines(self.fits, self.stats.bytes_in)
@@ -145,7 +151,11 @@ class FileInfo:
             yield from report.stats_lines(self.stats, self.controls)
         if len(self.ids):
             yield ""
-            yield from report.id_lines(self.ids)
+            yield from report.id_lines(self.ids[:top])
+            left_out = self.ids[len(self.ids) if top is None else top :]
+            if len(left_out):
+                frames = left_out["count"].sum()
+                yield f"ids left out: {len(left_out):,}; frames of them: {frames:,}"
 
     def _notes(self) -> Iterator[str]:
         if self.doubt or self.remarks:

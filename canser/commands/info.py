@@ -7,6 +7,7 @@ from canser._progress import Progress
 from canser._protocols import protocols
 from canser.analysis import report
 from canser.analysis.summary import info, rank_protocols
+from canser.commands._numbers import whole
 from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, say, show
 from canser.commands._source import (
     ProtocolNeededError,
@@ -20,15 +21,26 @@ __all__ = ["add"]
 
 def add(commands: Commands) -> None:
     """Add the command."""
-    add_command(
+    parser = add_command(
         commands,
         "info",
         "  canser info run.bin\n"
         "  canser info run.bin -p serial --ts-unit us\n"
         "  canser info run.log\n"
-        "  canser info run.pcapng",
+        "  canser info run.pcapng\n\n"
+        "  $ canser info car.bin -p serial --top 2 | tail -n 4\n"
+        "        id     frames   share     rate/s   period ms  dlc\n"
+        "       140      9,030  10.94%     100.02       10.00  8\n"
+        "       141      9,030  10.94%     100.02       10.00  8\n"
+        "  ids left out: 33; frames of them: 64,498",
         run=run,
         parents=[source_arguments()],
+    )
+    parser.add_argument(
+        "--top",
+        metavar="N",
+        type=whole(least=1),
+        help="only the N most frequent ids, and how many are left out (default: all ids)",
     )
 
 
@@ -45,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
             )
     except ProtocolNeededError:
         raise _no_protocol(args.source) from None
-    show(found.lines())
+    show(found.lines(args.top))
     for remark in found.remarks:
         say(f"{found.name}: {remark}")
     if found.protocol is not None and found.stats is not None and not args.as_is:
