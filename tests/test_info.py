@@ -2,6 +2,7 @@
 
 import dataclasses
 import doctest
+import json
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,8 @@ import shared
 from canser.commands.cli import main
 from canser.recording.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
-from reference import Frame
-from samples import MILLISECOND, SECOND, array, info_of
+from reference import NO_TIME, Frame
+from samples import MILLISECOND, SECOND, array, info_of, timed
 
 RECORDED = RecordingInfo("seeed", 2_000_000, 500_000, "ms", "/dev/ttyUSB0")
 STATUS = bytes.fromhex("AA55 04 01 02") + bytes(14) + b"\x07"
@@ -158,12 +159,80 @@ def test_the_command_shows_the_most_frequent_ids(capfd: pytest.CaptureFixture[st
 
 
 @shared.needs_captures
-def test_the_example_of_the_help_is_what_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_examples_of_the_help_are_what_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["info", "--help"])
     shown = capfd.readouterr().out
-    assert (
-        main(["info", str(shared.CAPTURES / "car.serial.bin"), "-p", "serial", "--top", "2"]) == 0
-    )
+    car = ["info", str(shared.CAPTURES / "car.serial.bin"), "-p", "serial"]
+    assert main([*car, "--top", "2"]) == 0
     printed = capfd.readouterr().out.splitlines()[-4:]
     assert "".join(f"  {line}\n" for line in printed) in shown
+    assert main([*car, "--json"]) == 0
+    first = json.loads(capfd.readouterr().out)["ids"][0]
+    values = [first[name] for name in ("id", "count", "period_ns", "period_p99_ns")]
+    assert f"  {json.dumps(values, separators=(',', ':'))}\n" in shown
+
+
+# As JSON
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("name", ["run.bin", "run.pcapng", "run.log"])
+def test_json_is_one_line_with_all_attributes(name: str, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", name, "--json"]) == 0
+    printed = capfd.readouterr()
+    assert printed.out.count("\n") == 1
+    found, told = canser.info(name), json.loads(printed.out)
+    assert told == found.as_dict()
+    fields = [field.name for field in dataclasses.fields(canser.FileInfo)]
+    assert list(told) == [*fields, "ids_left_out"]
+    for key in ("name", "frames", "standard", "first_ns", "span_ns", "protocol", "rate", "doubt"):
+        assert told[key] == getattr(found, key)
+    assert told["remarks"] == list(found.remarks)
+    assert [list(row) for row in told["ids"]] == [list(found.ids.dtype.names or ())] * len(
+        found.ids
+    )
+    assert [row["count"] for row in told["ids"]] == found.ids["count"].tolist()
+    assert told["ids_left_out"] == 0
+
+
+@pytest.mark.usefixtures("folder")
+def test_json_tells_bytes_controls_fits_and_the_line() -> None:
+    raw, recorded = canser.info("run.bin").as_dict(), canser.info("run.pcapng").as_dict()
+    assert raw["controls"] == [
+        {"offset": raw["stats"]["bytes_framed"], "data": STATUS.hex().upper()}
+    ]
+    assert raw["stats"]["rejects"]["marker"] == 0
+    assert raw["fits"][0]["protocol"] == "seeed"
+    assert recorded["recording"] == dataclasses.asdict(RECORDED)
+
+
+def test_json_has_null_for_what_is_not_known_and_whole_nanoseconds() -> None:
+    unknown = info_of(timed(NO_TIME, NO_TIME)).as_dict()
+    assert [unknown[key] for key in ("first_ns", "last_ns", "span_ns", "rate")] == [None] * 4
+    names = ("first_ns", "last_ns", "rate", "period_ns", "period_p99_ns")
+    assert [unknown["ids"][0][key] for key in names] == [None] * 5
+    (row,) = info_of(timed(0, 3, 7)).as_dict()["ids"]
+    assert (row["period_ns"], type(row["period_ns"])) == (4, int)
+    json.dumps(row)
+
+
+@pytest.mark.usefixtures("folder")
+def test_json_of_the_most_frequent_ids(capfd: pytest.CaptureFixture[str]) -> None:
+    found = canser.info("run.bin", "seeed")
+    assert main(["info", "run.bin", "-p", "seeed", "--json", "--top", "2"]) == 0
+    told = json.loads(capfd.readouterr().out)
+    assert told["ids"] == found.as_dict()["ids"][:2]
+    assert told["ids_left_out"] == len(found.ids) - 2
+
+
+def test_json_is_all_that_is_printed(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """No ranking of protocols in front of it, and nothing if there is no object."""
+    (folder / "noise.bin").write_bytes(np.random.default_rng(1).bytes(5_000))
+    assert main(["info", "noise.bin", "--json"]) == 1
+    printed = capfd.readouterr()
+    assert printed.out == ""
+    assert "no protocol fits noise.bin" in printed.err
+    assert main(["info", "noise.bin", "-p", "seeed", "--json"]) == 1
+    printed = capfd.readouterr()
+    assert json.loads(printed.out)["doubt"] in printed.err

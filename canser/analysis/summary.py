@@ -2,9 +2,9 @@
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,7 @@ from canser._core.stream import Control
 from canser._frames import FrameArray
 from canser.analysis import report
 from canser.analysis.ids import ID_DTYPE, IdRows, IdStatistics
+from canser.analysis.plain import to_plain
 from canser.analysis.steps import StepStatistics
 from canser.codec.decoder import Decoder, Stats
 from canser.errors import NoProtocolError
@@ -156,6 +157,28 @@ class FileInfo:
             if len(left_out):
                 frames = left_out["count"].sum()
                 yield f"ids left out: {len(left_out):,}; frames of them: {frames:,}"
+
+    def as_dict(self, top: int | None = None) -> dict[str, Any]:
+        """Return all of it as JSON has it, as `canser info --json` prints it.
+
+        Parameters
+        ----------
+        top : int, optional
+            The most frequent ids only, this many at most.
+
+        Returns
+        -------
+        dict
+            The attributes by their names. `ids` is a list of dicts, with the fields of a row as
+            keys; `stats`, `recording`, `controls` and `fits` are dicts too, the data of a control
+            packet in hexadecimal digits. Names that end with `_ns` are whole nanoseconds. What is
+            not known is None. Besides there is `ids_left_out`, the number of ids that `top`
+            leaves out.
+        """
+        shown = replace(self, ids=self.ids[:top])
+        left_out = len(self.ids) - len(shown.ids)
+        plain: dict[str, Any] = to_plain(shown)
+        return {**plain, "ids_left_out": left_out}
 
     def _notes(self) -> Iterator[str]:
         if self.doubt or self.remarks:

@@ -1,6 +1,7 @@
 """`canser info`: what is in a file, and which protocol it is."""
 
 import argparse
+import json
 import os
 
 from canser._progress import Progress
@@ -32,7 +33,10 @@ def add(commands: Commands) -> None:
         "        id     frames   share     rate/s   period ms  dlc\n"
         "       140      9,030  10.94%     100.02       10.00  8\n"
         "       141      9,030  10.94%     100.02       10.00  8\n"
-        "  ids left out: 33; frames of them: 64,498",
+        "  ids left out: 33; frames of them: 64,498\n\n"
+        "  $ canser info car.bin -p serial --json |\n"
+        "        jq -c '.ids[0] | [.id, .count, .period_ns, .period_p99_ns]'\n"
+        "  [320,9030,10000000,12000000]",
         run=run,
         parents=[source_arguments()],
     )
@@ -41,6 +45,12 @@ def add(commands: Commands) -> None:
         metavar="N",
         type=whole(least=1),
         help="only the N most frequent ids, and how many are left out (default: all ids)",
+    )
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="one JSON object on the standard output, with the names of the attributes of "
+        "canser.FileInfo; times are ns, what is not known is null",
     )
 
 
@@ -56,8 +66,8 @@ def run(args: argparse.Namespace) -> int:
                 progress=progress,
             )
     except ProtocolNeededError:
-        raise _no_protocol(args.source) from None
-    show(found.lines(args.top))
+        raise _no_protocol(args.source, ranked=not args.json) from None
+    show([json.dumps(found.as_dict(args.top))] if args.json else found.lines(args.top))
     for remark in found.remarks:
         say(f"{found.name}: {remark}")
     if found.protocol is not None and found.stats is not None and not args.as_is:
@@ -65,8 +75,8 @@ def run(args: argparse.Namespace) -> int:
     return GOOD
 
 
-def _no_protocol(path: str) -> CallError | DataError:
-    """Print which protocols fit a file, and return the error that none does."""
+def _no_protocol(path: str, *, ranked: bool) -> CallError | DataError:
+    """Return the error that no protocol fits a file; `ranked`: print how well each does."""
     if path == "-" or not os.path.isfile(path):  # noqa: PTH113
         name = "standard input" if path == "-" else path
         return CallError(
@@ -76,5 +86,6 @@ def _no_protocol(path: str) -> CallError | DataError:
     size = os.path.getsize(path)  # noqa: PTH202
     if size == 0:
         return DataError(f"{path} is empty")
-    show([*report.fit_lines(rank_protocols(path), size), ""])
+    if ranked:
+        show([*report.fit_lines(rank_protocols(path), size), ""])
     return DataError(f"no protocol fits {path}; name it with -p if you know better")
