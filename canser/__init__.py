@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from canser._protocols import protocols as protocols
     from canser.adapters import AdapterConfig as AdapterConfig
     from canser.adapters import AdapterReport as AdapterReport
+    from canser.analysis.summary import FileInfo as FileInfo
+    from canser.analysis.summary import info as info
     from canser.codec.decoder import Decoder as Decoder
     from canser.codec.decoder import Stats as Stats
     from canser.codec.decoder import decode as decode
@@ -92,6 +94,10 @@ _HOMES: Final = {
     "canser.adapters": (
         "AdapterConfig",
         "AdapterReport",
+    ),
+    "canser.analysis.summary": (
+        "FileInfo",
+        "info",
     ),
     "canser.codec.decoder": (
         "Decoder",

@@ -20,6 +20,7 @@ __all__ = [
     "flaw",
     "match",
     "put_records",
+    "put_records_at",
     "refuse_mask",
 ]
 
@@ -164,6 +165,14 @@ def put_records(target: npt.NDArray[np.void], records: npt.NDArray[np.void]) -> 
     """
     whole = f"V{records.dtype.itemsize}"
     target.view(whole)[...] = records.view(whole)
+
+
+def put_records_at(
+    target: npt.NDArray[np.void], places: npt.NDArray[np.intp], records: npt.NDArray[np.void]
+) -> None:
+    """Do `target[places] = records` for records of the same dtype; see `put_records`."""
+    whole = f"V{records.dtype.itemsize}"
+    target.view(whole)[places] = records.view(whole)
 
 
 def copy_records(records: npt.NDArray[np.void]) -> npt.NDArray[np.void]:

@@ -1,11 +1,14 @@
 """Frames to test with: any that are valid, and arrays of those that a test spells out."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 from hypothesis import strategies as st
 
 from canser._frames import FRAME_DTYPE, FrameArray
+from canser.analysis.summary import FileInfo, summarise
+from canser.codec.decoder import Decoder
 from canser.errors import FormatError
 from reference import DLC_MAX, ID_EXT_MAX, ID_MAX, NO_TIME, Frame, pack, unpack
 
@@ -32,6 +35,15 @@ def listed(frames: FrameArray | Iterable[FrameArray]) -> list[Frame]:
 def timed(*ts: int) -> FrameArray:
     """Return frames of one id at these times."""
     return array(*(Frame(0x100, ts=time) for time in ts))
+
+
+def info_of(*blocks: FrameArray, decoder: Decoder | None = None) -> FileInfo:
+    """Return what `canser.info` tells of frames, with the counters of their decoder."""
+    found = summarise(blocks)
+    if decoder is None:
+        return found
+    controls = tuple(decoder.take_controls())
+    return replace(found, protocol=decoder.protocol, stats=decoder.stats, controls=controls)
 
 
 def frames_or_error(read: Callable[[bytes], list[Frame]], raw: bytes) -> list[Frame]:

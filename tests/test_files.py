@@ -15,6 +15,7 @@ import pytest
 
 import canser
 from canser import CanserWarning, FrameArray
+from canser.commands.cli import main
 from canser.files import formats
 from canser.recording.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
@@ -455,3 +456,65 @@ def test_the_wrong_protocol_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(canser.FormatError, match="as_is=True accepts them"):
         canser.convert(path, tmp_path / "x.csv", "seeed")
     assert not (tmp_path / "x.csv").exists()
+
+
+# The commands.
+
+
+def test_info_is_one_report_with_a_line_for_each_file(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    later = LOGGED.copy()
+    later["ts"] += 10 * SECOND
+    paths = [str(saved(tmp_path / "a.log", LOGGED)), str(saved(tmp_path / "b.npy", later))]
+    assert main(["info", *paths]) == 0
+    lines = capfd.readouterr().out.splitlines()
+    assert lines[:2] == [
+        f"file       {paths[0]}, candump: {len(LOGGED):,}",
+        f"file       {paths[1]}, npy: {len(LOGGED):,}",
+    ]
+    assert lines[2].startswith(f"frames     {2 * len(LOGGED):,}")
+    found = canser.info(paths)
+    assert [part.frames for part in found.files] == [len(LOGGED)] * 2
+    assert str(found).splitlines() == lines
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["a.log", "b.npy", "out.csv"],
+        ["a.log", "b.npy", "-o", "out.csv"],
+        ["-o", "out.csv", "a.log", "b.npy"],
+        ["a.log", "b.npy", "out.csv", "--sort"],
+    ],
+    ids=" ".join,
+)
+def test_convert_takes_several_files_as_cp_has_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    later = LOGGED.copy()
+    later["ts"] += 10 * SECOND
+    saved(tmp_path / "a.log", LOGGED)
+    saved(tmp_path / "b.npy", later)
+    assert main(["convert", *arguments]) == 0
+    assert canser.read("out.csv").tobytes() == canser.concat([LOGGED, later]).tobytes()
+
+
+def test_dump_takes_several_files(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    paths = [str(saved(tmp_path / f"{n}.npy", LOGGED[:3])) for n in range(2)]
+    assert main(["dump", *paths]) == 0
+    out, err = capfd.readouterr()
+    assert len(out.splitlines()) == 6
+    assert "--sort" in err
+
+
+def test_a_recording_is_converted_to_its_bytes_and_back(tmp_path: Path) -> None:
+    raw = canser.encode(FRAMES, "seeed")
+    source = recorded(tmp_path / "run.pcapng", raw, "seeed")
+    out, again = str(tmp_path / "run.bin"), str(tmp_path / "again.pcapng")
+    assert main(["convert", str(source), out]) == 0
+    assert Path(out).read_bytes() == raw
+    assert main(["convert", out, again, "-p", "seeed"]) == 0
+    assert main(["convert", out, str(tmp_path / "x.pcapng")]) == 2
+    assert len(canser.read(again)) == len(FRAMES)

@@ -4,32 +4,27 @@ import pytest
 
 import canser
 from canser._frames import FrameArray
-from canser.analysis.ids import Tally
-from canser.codec.decoder import Control, Stats
-from canser.commands import _report as report
+from canser.analysis import report
+from canser.codec.decoder import Decoder, Stats
 from canser.simulation.traffic import vehicle
 from reference import NO_TIME, Frame
-from samples import EPOCH, MILLISECOND, SECOND, array, timed
+from samples import EPOCH, MILLISECOND, SECOND, array, info_of, timed
 
 STANDARD = bytes.fromhex("AA C8 2301 0011223344556677 55")
 STATUS = bytes.fromhex("AA55 04 01 02") + bytes(14) + b"\x07"
 NOISE = bytes.fromhex("00 AA 00")
 
 
-def info(
-    frames: FrameArray, stats: Stats | None = None, controls: list[Control] | None = None
-) -> list[str]:
-    tally = Tally()
-    tally.add(frames)
-    return list(report.info_lines(tally, stats, controls or []))
+def info(frames: FrameArray, decoder: Decoder | None = None) -> list[str]:
+    return list(info_of(frames, decoder=decoder).lines())
 
 
-def info_of(stream: bytes) -> list[str]:
+def info_of_stream(stream: bytes) -> list[str]:
     """Return what is said of a stream of `seeed`."""
     decoder = canser.Decoder("seeed")
     frames = decoder.feed(stream)
     decoder.flush()
-    return info(frames, decoder.stats, decoder.take_controls())
+    return info(frames, decoder)
 
 
 def stats_of(stream: bytes) -> Stats:
@@ -129,7 +124,7 @@ def test_rejects_are_named_most_first_and_none_that_are_zero() -> None:
 
 
 def test_raw_bytes_are_told_with_their_counters() -> None:
-    lines = info_of(NOISE + STANDARD + STATUS)
+    lines = info_of_stream(NOISE + STANDARD + STATUS)
     assert (
         named("bytes", lines)
         == "bytes      36 bytes = 13 framed + 20 control + 3 skipped + 0 pending"
@@ -141,12 +136,12 @@ def test_raw_bytes_are_told_with_their_counters() -> None:
 
 
 def test_a_clean_stream_has_no_line_of_skipped_bytes() -> None:
-    assert not any(line.startswith(("skipped", "clock")) for line in info_of(STANDARD))
+    assert not any(line.startswith(("skipped", "clock")) for line in info_of_stream(STANDARD))
 
 
 @pytest.mark.parametrize(("count", "more"), [(4, []), (5, ["           and 1 more"])])
 def test_of_many_control_packets_four_are_shown(count: int, more: list[str]) -> None:
-    lines = info_of(STATUS * count)
+    lines = info_of_stream(STATUS * count)
     shown = [number for number, line in enumerate(lines) if line.startswith("           at ")]
     assert len(shown) == 4
     assert lines[shown[-1] + 1 :] == more
@@ -157,7 +152,7 @@ def test_wraps_and_steps_back_of_the_device_clock_are_told() -> None:
     frames = decoder.feed(
         canser.encode(timed(*(ms * MILLISECOND for ms in (2**32 - 1, 2**32, 0xFFFFFFFF))), "serial")
     )
-    lines = info(frames, decoder.stats)
+    lines = info(frames, decoder)
     assert named("clock", lines) == "clock      wraps 1, steps back 1"
 
 
@@ -195,7 +190,5 @@ def test_tables_fit_a_terminal_of_80_columns() -> None:
 def test_ids_stand_most_frequent_first() -> None:
     """What noise makes up is seen once, and stands at the end."""
     ids = (0x100, 0x7FF, 0x7FF, 0x001)
-    tally = Tally()
-    tally.add(array(*(Frame(number, ts=0) for number in ids)))
-    lines = list(report.info_lines(tally, None, []))
+    lines = info(array(*(Frame(number, ts=0) for number in ids)))
     assert [line.split()[0] for line in lines[-3:]] == ["7FF", "001", "100"]

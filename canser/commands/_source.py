@@ -9,6 +9,7 @@ from typing import BinaryIO
 from canser._input import Source
 from canser._progress import Progress
 from canser._protocols import TS_UNITS, protocols
+from canser.codec.decoder import Stats
 from canser.commands._parser import CallError, DataError, Parser, protocol_name, say
 from canser.errors import (
     ForeignFormatError,
@@ -29,6 +30,7 @@ __all__ = [
     "opened",
     "options_named",
     "read_options",
+    "refuse_doubtful",
     "say_remarks",
     "source_arguments",
 ]
@@ -134,15 +136,17 @@ def options_named() -> Iterator[None]:
 
 def check_found(source: Blocks, *, as_is: bool) -> None:
     """Raise DataError if the bytes are not of the protocol that they were read in."""
-    stats = source.stats
-    if stats is None or as_is:
-        return
-    if source.doubt:
-        raise DataError(f"{source.doubt}; --as-is accepts them")
+    if source.protocol is not None and source.stats is not None and not as_is:
+        refuse_doubtful(source.name, source.protocol, source.stats, source.doubt)
+
+
+def refuse_doubtful(name: str, protocol: str, stats: Stats, doubt: str) -> None:
+    """Raise DataError if there is a doubt that bytes are of a protocol, or no packet in them."""
+    if doubt:
+        raise DataError(f"{doubt}; --as-is accepts them")
     if stats.bytes_in and not stats.frames and not stats.controls:
         raise DataError(
-            f"no {source.decoder.protocol} frame in the {stats.bytes_in:,} bytes of "
-            f"{source.name}; --as-is accepts them"
+            f"no {protocol} frame in the {stats.bytes_in:,} bytes of {name}; --as-is accepts them"
         )
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from canser._output import check_apart, whole_file
 from canser._progress import Progress
-from canser.commands import _report as report
+from canser.analysis import report
 from canser.commands._parser import GOOD, CallError, Commands, add_command, say
 from canser.commands._source import (
     check_found,

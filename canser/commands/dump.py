@@ -6,7 +6,7 @@ import numpy as np
 
 from canser._frames import FRAME_DTYPE, match
 from canser._output import standard_output
-from canser.commands import _report as report
+from canser.analysis import report
 from canser.commands._parser import GOOD, CallError, Commands, add_command, say
 from canser.commands._source import check_found, open_source, say_remarks, source_arguments
 from canser.files.candump import Writer as CandumpWriter

@@ -1,82 +1,93 @@
 """`canser info`: what is in a file, and which protocol it is."""
 
 import argparse
+import json
 import os
-import stat
-
-import numpy as np
 
 from canser._progress import Progress
 from canser._protocols import protocols
-from canser.analysis.ids import Tally
-from canser.commands import _report as report
-from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, show
+from canser.analysis import report
+from canser.analysis.summary import info, rank_protocols
+from canser.commands._numbers import whole
+from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, say, show
 from canser.commands._source import (
     ProtocolNeededError,
-    check_found,
-    open_source,
-    say_remarks,
+    opened,
+    options_named,
+    refuse_doubtful,
     source_arguments,
 )
-from canser.files.fits import Fit, identify
-from canser.files.reading import Blocks
 
 __all__ = ["add"]
 
 
 def add(commands: Commands) -> None:
     """Add the command."""
-    add_command(
+    parser = add_command(
         commands,
         "info",
         "  canser info run.bin\n"
         "  canser info run.bin -p serial --ts-unit us\n"
         "  canser info run.log\n"
-        "  canser info run.pcapng",
+        "  canser info run.pcapng\n\n"
+        "  $ canser info car.bin -p serial --top 2 | tail -n 4\n"
+        "        id     frames   share     rate/s   period ms  dlc\n"
+        "       140      9,030  10.94%     100.02       10.00  8\n"
+        "       141      9,030  10.94%     100.02       10.00  8\n"
+        "  ids left out: 33; frames of them: 64,498\n\n"
+        "  $ canser info car.bin -p serial --json |\n"
+        "        jq -c '.ids[0] | [.id, .count, .period_ns, .period_p99_ns]'\n"
+        "  [320,9030,10000000,12000000]",
         run=run,
         parents=[source_arguments()],
+    )
+    parser.add_argument(
+        "--top",
+        metavar="N",
+        type=whole(least=1),
+        help="only the N most frequent ids, and how many are left out (default: all ids)",
+    )
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="one JSON object on the standard output, with the names of the attributes of "
+        "canser.FileInfo; times are ns, what is not known is null",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    tally = Tally()
-    with Progress(f"reading {args.sources[0]}") as progress, _open(args, progress) as source:
-        for frames in source:
-            tally.add(frames)
-        stats, controls = source.stats, source.take_controls()
-    if source.recording is not None:
-        show(report.recording_lines(source.recording))
-    show(report.info_lines(tally, stats, controls))
-    say_remarks(source)
-    check_found(source, as_is=args.as_is)
+    try:
+        with Progress(f"reading {args.sources[0]}") as progress, options_named():
+            found = info(
+                opened(args.sources),
+                args.protocol,
+                ts_unit=args.ts_unit,
+                format=args.source_format,
+                sort=args.sort,
+                as_is=args.as_is,
+                progress=progress,
+            )
+    except ProtocolNeededError:
+        raise _no_protocol(args.sources[0], ranked=not args.json) from None
+    show([json.dumps(found.as_dict(args.top))] if args.json else found.lines(args.top))
+    for remark in found.remarks:
+        say(remark)
+    if found.protocol is not None and found.stats is not None and not args.as_is:
+        refuse_doubtful(found.name, found.protocol, found.stats, found.doubt)
     return GOOD
 
 
-def _open(args: argparse.Namespace, progress: Progress) -> Blocks:
-    """Open IN; raw bytes of which nobody said the protocol in the one that fits."""
-    try:
-        return open_source(args, progress)
-    except ProtocolNeededError:
-        args.protocol = _identify(args).protocol
-        return open_source(args, progress)
-
-
-def _identify(args: argparse.Namespace) -> Fit:
-    """Print which protocol fits the bytes of IN; raise DataError if none does."""
-    mode = 0 if args.sources[0] == "-" else os.stat(args.sources[0]).st_mode  # noqa: PTH116
-    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-        name = "standard input" if args.sources[0] == "-" else args.sources[0]
-        raise CallError(
+def _no_protocol(path: str, *, ranked: bool) -> CallError | DataError:
+    """Return the error that no protocol fits a file; `ranked`: print how well each does."""
+    if path == "-" or not os.path.isfile(path):  # noqa: PTH113
+        name = "standard input" if path == "-" else path
+        return CallError(
             f"{name} can be read only once: name its protocol with -p "
             f"({', '.join(protocols())}), or put it into a file first"
         )
-    if os.path.getsize(args.sources[0]) == 0:  # noqa: PTH202
-        raise DataError(f"{args.sources[0]} is empty")
-    raw = np.memmap(args.sources[0], np.uint8, mode="r")
-    fits = identify(raw)
-    best = fits[0]
-    show([*report.fit_lines(fits, len(raw)), ""])
-    if not best.fits:
-        raise DataError(f"no protocol fits {args.sources[0]}; name it with -p if you know better")
-    show([f"protocol   {best.protocol}, which explains {best.score:.1%} of it beyond chance"])
-    return best
+    size = os.path.getsize(path)  # noqa: PTH202
+    if size == 0:
+        return DataError(f"{path} is empty")
+    if ranked:
+        show([*report.fit_lines(rank_protocols(path), size), ""])
+    return DataError(f"no protocol fits {path}; name it with -p if you know better")

@@ -53,7 +53,7 @@ from canser import adapters
 from canser._frames import FRAME_DTYPE, FrameArray, match
 from canser._protocols import protocol
 from canser._signals import Stop, stop_on_signals
-from canser.commands import _report as report
+from canser.analysis import report
 from canser.commands._numbers import byte_count, duration, whole
 from canser.commands._parser import BAD_DATA, GOOD, CallError, Commands, DataError, add_command
 from canser.commands._port import open_port, port_arguments, staying_arguments

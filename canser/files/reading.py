@@ -281,6 +281,12 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         return found
 
     @property
+    def protocol(self) -> str | None:
+        """The protocol of the file that is read now, None for a format that holds frames."""
+        decoder = self._begin().decoder
+        return None if decoder is None else decoder.protocol
+
+    @property
     def stats(self) -> Stats | None:
         """The counters of all files so far; None where no bytes of an adapter were decoded."""
         self._begin()

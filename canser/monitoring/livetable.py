@@ -2,13 +2,13 @@
 
 import re
 import threading
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, match, with_mask
-from canser.timing.restarts import Clock
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, match, put_records_at, with_mask
+from canser.analysis.ids import Batch, IdStatistics, previous
 
 __all__ = ["COLUMNS", "ROW_DTYPE", "LiveTable", "RowArray", "choose", "exact", "ordered"]
 
@@ -49,9 +49,6 @@ _IDS_MOST: Final = 1 << 14
 
 _PREFIX = re.compile("(?:0[xX])?(?P<digits>[0-9A-Fa-f]{1,8})")
 
-_Places = npt.NDArray[np.intp]
-_Scalar = TypeVar("_Scalar", bound=np.generic)
-
 
 class LiveTable:
     """A row for each kind of frame: id, ext, rtr and err. Safe for several threads.
@@ -71,26 +68,22 @@ class LiveTable:
         self._empty()
 
     def _empty(self) -> None:
-        self._frames = self._others = 0
+        self._ids = IdStatistics(remote_apart=True, rows_most=_IDS_MOST)
+        # By the places of rows, with room for more.
         self._rows = np.zeros(0, ROW_DTYPE)
-        self._clock = Clock()
-        # The last known time of a row, and which stretch of the clock it is of: 0 for none.
-        self._times = np.zeros((2, 0), np.int64)
         # The last steps of a row, nanoseconds, 0 for none; and how many there have been.
         self._steps = np.zeros((0, _STEPS))
-        self._counts = np.zeros(0, np.int64)
-        self._keys = np.zeros(0, np.uint32)  # in order
-        self._places = np.zeros(0, np.intp)  # of these keys among the rows
+        self._step_counts = np.zeros(0, np.int64)
 
     @property
     def frames(self) -> int:
         """How many frames were added since the last `clear`."""
-        return self._frames
+        return self._ids.frames
 
     @property
     def others(self) -> int:
         """How many of them have no row, as there are 16,384 already."""
-        return self._others
+        return self._ids.others
 
     def clear(self) -> None:
         """Forget all."""
@@ -100,8 +93,9 @@ class LiveTable:
     def rows(self) -> RowArray:
         """Return a copy of all rows: ROW_DTYPE, shape (n,), standard ids first, then by id."""
         with self._lock:
-            rows = self._rows[self._places]
-            steps = self._steps[self._places]
+            places = self._ids.places
+            rows, steps = self._rows.take(places), self._steps[places]
+            rows["count"] = self._ids.counts
         _set_pace(rows, steps)
         return rows
 
@@ -110,101 +104,47 @@ class LiveTable:
         if not len(frames):
             return
         with self._lock:
-            self._frames += len(frames)
-            known = frames["ts"] != NO_TIME
-            stretches = np.zeros(len(frames), np.int64)
-            stretches[known] = self._clock.add(frames["ts"][known])
-            keys = _keys(frames)
-            order = np.argsort(keys, kind="stable")
-            starts = _starts(keys[order])
-            places = self._find(keys[order[starts]])
-            unknown = np.repeat(places < 0, np.diff(starts, append=len(order)))
-            if unknown.any():
-                self._others += int(unknown.sum())
-                order, places = order[~unknown], places[places >= 0]
-                starts = _starts(keys[order])
-            if len(order):
-                self._add(frames.take(order), starts, places)
-                self._add_steps(frames["ts"][order], stretches[order], starts, places)
+            batch = self._ids.add(frames)
+            if len(self._ids) > len(self._rows):
+                self._grow(2 * len(self._ids))
+            if len(batch.frames):
+                self._add_bytes(batch)
+                self._add_steps(batch)
 
-    def _add(self, frames: FrameArray, starts: npt.NDArray[np.intp], places: _Places) -> None:
-        """Take frames in the order of their rows; `starts`: where those of each place start."""
-        counts = np.diff(starts, append=len(frames))
-        old = self._rows[places]
-        new = starts[old["count"] == 0]
-
-        dlc = _behind(frames["dlc"], old["dlc"], starts)
-        changed = frames["data"] != _behind(frames["data"], old["data"], starts)
+    def _add_bytes(self, batch: Batch) -> None:
+        """Take the last frame of each row, and which bytes have changed since."""
+        frames, starts = batch.frames, batch.starts
+        old = self._rows.take(batch.places)
+        dlc = previous(frames["dlc"], old["dlc"], starts)
+        changed = frames["data"] != previous(frames["data"], old["data"], starts)
         at = np.arange(8)
         # A byte that appears or goes away has changed, too.
         changed |= (at < frames["dlc"][:, None]) != (at < dlc[:, None])
-        changed[new] = False
+        changed[starts[batch.new]] = False
         times = np.where(changed, frames["ts"][:, None], NO_TIME)
-        newest = np.maximum(np.maximum.reduceat(times, starts), old["changed"])
-
-        last = frames.take(starts + counts - 1)
+        old["changed"] = np.maximum(np.maximum.reduceat(times, starts), old["changed"])
+        last = frames.take(starts + batch.counts - 1)
         for name in FRAME_DTYPE.names or ():
             old[name] = last[name]
-        old["count"] += counts
-        old["changed"] = newest
-        self._rows[places] = old
+        put_records_at(self._rows, batch.places, old)
 
-    def _add_steps(
-        self,
-        ts: npt.NDArray[np.int64],
-        stretches: npt.NDArray[np.int64],
-        starts: npt.NDArray[np.intp],
-        places: _Places,
-    ) -> None:
-        """Take times in the order of their rows, and the stretch of each."""
-        known = stretches > 0
-        ts, stretches = ts[known], stretches[known]
-        counts = np.add.reduceat(known, starts, dtype=np.intp)
-        ends = np.cumsum(counts)[counts > 0]
-        places, counts = places[counts > 0], counts[counts > 0]
-        old_ts, old_stretches = self._times[:, places]
-        before = _behind(ts, old_ts, ends - counts)
-        good = stretches == _behind(stretches, old_stretches, ends - counts)
-        good &= ts > before
-        self._times[:, places] = ts[ends - 1], stretches[ends - 1]
-
-        # Unsigned: then the longest step is no overflow.
-        steps = (ts - before).view(np.uint64)[good]
-        group = np.repeat(np.arange(len(places)), counts)[good]
-        counts = np.bincount(group, minlength=len(places))
-        later = np.cumsum(counts)[group] - 1 - np.arange(len(group))
+    def _add_steps(self, batch: Batch) -> None:
+        """Keep the last steps of each row."""
+        counts = batch.step_counts
+        places = np.repeat(batch.places, counts)
+        # How many steps of its row come later than a step.
+        later = np.repeat(np.cumsum(counts), counts) - 1 - np.arange(len(places))
+        self._step_counts[batch.places] += counts
         kept = later < _STEPS
-        self._counts[places] += counts
-        at = self._counts[places[group]] - 1 - later
-        self._steps[places[group][kept], at[kept] % _STEPS] = steps[kept]
-
-    def _find(self, keys: npt.NDArray[np.uint32]) -> _Places:
-        """Return the rows of distinct keys in order, new ones too; -1 where there is no room."""
-        at = np.searchsorted(self._keys, keys)
-        found = at < len(self._keys)
-        found[found] = self._keys[at[found]] == keys[found]
-        if not found.all():
-            room = _IDS_MOST - len(self._keys)
-            new = np.flatnonzero(~found)[:room]
-            end = len(self._keys) + len(new)
-            places = np.arange(len(self._keys), end)
-            self._keys = np.insert(self._keys, at[new], keys[new])
-            self._places = np.insert(self._places, at[new], places)
-            if end > len(self._rows):
-                self._grow(2 * end)
-            at = np.searchsorted(self._keys, keys)
-            found[new] = True
-        result = np.full(len(keys), -1, np.intp)
-        result[found] = self._places[at[found]]
-        return result
+        at = self._step_counts[places] - 1 - later
+        self._steps[places[kept], at[kept] % _STEPS] = batch.steps[kept]
 
     def _grow(self, size: int) -> None:
         more = np.zeros(size - len(self._rows), ROW_DTYPE)
         more["changed"] = NO_TIME
         self._rows = np.concatenate([self._rows, more])
-        self._times = np.hstack([self._times, np.zeros((2, len(more)), np.int64)])
         self._steps = np.vstack([self._steps, np.zeros((len(more), _STEPS))])
-        self._counts = np.append(self._counts, np.zeros(len(more), np.int64))
+        self._step_counts = np.append(self._step_counts, np.zeros(len(more), np.int64))
 
 
 def _set_pace(rows: RowArray, steps: npt.NDArray[np.float64]) -> None:
@@ -225,29 +165,6 @@ def _set_pace(rows: RowArray, steps: npt.NDArray[np.float64]) -> None:
         rows["rate"] = np.where(counts > 0, 1e9 * counts / steps.sum(axis=1), np.nan)
     rows["period"] = period
     rows["jitter"] = np.where(of > 1, jitter, np.nan)
-
-
-def _keys(frames: FrameArray) -> npt.NDArray[np.uint32]:
-    """Return a number for the kind of each frame; their order is that of the rows."""
-    keys: npt.NDArray[np.uint32] = frames["id"] << np.uint32(1)
-    for bit, name in ((31, "err"), (30, "ext"), (0, "rtr")):
-        keys |= frames[name].astype(np.uint32) << np.uint32(bit)
-    return keys
-
-
-def _starts(keys: npt.NDArray[np.uint32]) -> npt.NDArray[np.intp]:
-    """Return where the runs of equal keys start."""
-    return np.flatnonzero(np.append(True, keys[1:] != keys[:-1])[: len(keys)])
-
-
-def _behind(
-    values: npt.NDArray[_Scalar], first: npt.NDArray[_Scalar], starts: npt.NDArray[np.intp]
-) -> npt.NDArray[_Scalar]:
-    """Return for each value the one before it, `first` for those at `starts`."""
-    before = np.empty_like(values)
-    before[1:] = values[:-1]
-    before[starts] = first
-    return before
 
 
 def ordered(rows: RowArray, by: str, *, descending: bool = False) -> RowArray:
