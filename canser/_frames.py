@@ -42,6 +42,9 @@ FRAME_DTYPE: Final[np.dtype[np.void]] = np.dtype(
 # The `ts` of a frame whose time is not known; as datetime64 or timedelta64 it is NaT.
 NO_TIME: Final = int(np.iinfo(np.int64).min)
 
+# Nanoseconds from 1970 to 2000: a time this late is a date, and no count of a device's clock.
+YEAR_2000_NS: Final = 946_684_800 * 10**9
+
 # SocketCAN's flags above the 29 bits of an id, as filters write them.
 _EXT, _RTR, _ERR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 

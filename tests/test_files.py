@@ -298,10 +298,9 @@ def test_a_file_that_begins_too_early_is_told_and_sort_orders_all(tmp_path: Path
     with pytest.warns(CanserWarning, match="before the end"):
         got = canser.read(paths, sort=True)
     assert got["ts"].tolist() == [EPOCH + ms * MILLISECOND for ms in range(100)]
-    out = np.empty(7, canser.FRAME_DTYPE)
     with pytest.warns(CanserWarning, match="before the end"):
-        times = [block["ts"].copy() for block in canser.blocks(paths, out=out, sort=True)]
-    assert np.concatenate(times).tolist() == got["ts"].tolist()
+        canser.convert(paths, tmp_path / "all.npy", sort=True)
+    assert canser.read(tmp_path / "all.npy").tobytes() == got.tobytes()
 
 
 def test_frames_of_the_same_time_keep_their_order_and_those_without_come_first(
@@ -518,3 +517,159 @@ def test_a_recording_is_converted_to_its_bytes_and_back(tmp_path: Path) -> None:
     assert main(["convert", out, again, "-p", "seeed"]) == 0
     assert main(["convert", out, str(tmp_path / "x.pcapng")]) == 2
     assert len(canser.read(again)) == len(FRAMES)
+
+
+def dumped(capfd: pytest.CaptureFixture[str], *arguments: str) -> list[str]:
+    assert main(["dump", *arguments]) == 0
+    return capfd.readouterr().out.splitlines()
+
+
+def steps(tmp_path: Path, *, epoch: int = EPOCH) -> str:
+    """Return a file of 10 frames, of the ids 0 to 9, a second from each other."""
+    frames = array(*(Frame(number, ts=epoch + number * SECOND) for number in range(10)))
+    return str(saved(tmp_path / "steps.npy", frames))
+
+
+@pytest.mark.parametrize(
+    ("options", "ids"),
+    [
+        (["--count", "3"], "012"),
+        (["--start", "7s"], "789"),
+        (["--end", "2s"], "01"),
+        (["--start", "2s", "--end", "5s"], "234"),
+        (["--start", "2s", "--count", "1"], "2"),
+        (["--filter", "003", "--filter", "008"], "38"),
+        (["--filter", "003:703", "--count", "2"], "37"),
+        (["--start", "2018-12-06T14:31:24Z"], "56789"),
+        (["--end", "2018-12-06 14:31:20.5"], "01"),
+        (["--start", "2018-12-06T15:31:27+01:00"], "89"),
+        (["--start", "1h"], ""),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_frames_are_chosen(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], options: list[str], ids: str
+) -> None:
+    path = steps(tmp_path)
+    lines = dumped(capfd, path, *options)
+    assert [line.split()[2][:3] for line in lines] == [f"00{digit}" for digit in ids]
+    out = str(tmp_path / "out.csv")
+    assert main(["convert", path, out, *options]) == 0
+    assert canser.read(out)["id"].tolist() == [int(digit) for digit in ids]
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["--start", "soon"], "cannot read the time 'soon'"),
+        (["--start", "2018-13-06T15:31:24"], "cannot read the time"),
+        (["--epoch", "now"], "cannot read the date 'now'; write 2026-11-26T08:00:00"),
+        (["--count", "0"], "1 or more"),
+        (["--filter", "1234"], "has 4 digits"),
+        (["-t", "x"], "invalid choice"),
+    ],
+    ids=" ".join,
+)
+def test_a_choice_that_cannot_be_read_is_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], options: list[str], word: str
+) -> None:
+    try:
+        code = main(["dump", steps(tmp_path), *options])
+    except SystemExit as error:
+        code = error.code if isinstance(error.code, int) else 1
+    out, err = capfd.readouterr()
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
+    assert word in line
+
+
+def test_an_epoch_makes_dates_of_times_of_a_device(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = steps(tmp_path, epoch=7 * SECOND)
+    date = "2018-12-06T15:31:19.000"
+    lines = dumped(capfd, path, "--epoch", date, "--start", "8s", "-t", "A")
+    assert lines == [
+        "(2018-12-06 15:31:27.000000) can0 008#",
+        "(2018-12-06 15:31:28.000000) can0 009#",
+    ]
+    assert main(["dump", steps(tmp_path / "..", epoch=EPOCH), "--epoch", date]) == 1
+    assert "count from 1970 already" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("stamp", "times"),
+    [
+        ("a", ["1544110279.000000", "1544110280.000000"]),
+        ("z", ["0.000000", "1.000000"]),
+        ("d", ["0.000000", "1.000000", "1.000000"]),
+    ],
+)
+def test_times_are_shown_as_candump_has_them(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], stamp: str, times: list[str]
+) -> None:
+    lines = dumped(capfd, steps(tmp_path, epoch=1544110279 * SECOND), "-t", stamp)
+    assert [line[1 : line.index(")")] for line in lines][: len(times)] == times
+
+
+def test_a_time_that_is_not_known_is_0_whatever_the_stamp(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = str(saved(tmp_path / "x.npy", timed(NO_TIME, SECOND, NO_TIME, 3 * SECOND)))
+    for stamp, last in (("d", "2.000000"), ("z", "2.000000"), ("a", "3.000000")):
+        times = [line.split(")")[0][1:] for line in dumped(capfd, path, "-t", stamp)]
+        assert (times[0], times[2], times[3]) == ("0.000000", "0.000000", last)
+
+
+TWO_BUSES = (
+    "(1.000000) can0 001#11\n(2.000000) can1 002#22\n"
+    "(3.000000) can1 003#33\n(4.000000) vcan0 004#44\n"
+)
+
+
+def test_one_bus_of_a_log(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "two.log"
+    path.write_text(TWO_BUSES)
+    assert [line.split()[2] for line in dumped(capfd, str(path), "--bus", "can1")] == [
+        "002#22",
+        "003#33",
+    ]
+    with pytest.warns(CanserWarning, match="frames of other buses, left out: 2"):
+        assert canser.read(path, bus="can1")["id"].tolist() == [2, 3]
+    with pytest.raises(canser.FormatError, match=r"no frame of the bus can9; it has can0 1, can1"):
+        canser.read(path, bus="can9")
+    assert main(["info", str(path), "--bus", "can0"]) == 0
+    assert capfd.readouterr().out.startswith("frames     1")
+    assert main(["convert", str(path), str(tmp_path / "x.csv"), "--bus", "vcan0"]) == 0
+    assert canser.read(tmp_path / "x.csv")["id"].tolist() == [4]
+
+
+def test_one_bus_of_a_csv_file(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    header = "timestamp,arbitration_id,extended,remote,error,dlc,data,channel\n"
+    path.write_text(header + "1,0x1,0,0,0,0,,a\n2,0x2,0,0,0,0,,b\n")
+    with pytest.warns(CanserWarning, match="left out: 1"):
+        assert canser.read(path, bus="b")["id"].tolist() == [2]
+    path.write_text("timestamp,arbitration_id,extended,remote,error,dlc,data\n1,0x1,0,0,0,0,\n")
+    with pytest.raises(canser.FormatError, match="no column channel names the bus"):
+        canser.read(path, bus="b")
+
+
+def test_formats_without_buses_say_so(tmp_path: Path) -> None:
+    paths = [saved(tmp_path / "x.bin", FRAMES, "seeed"), saved(tmp_path / "x.npy", FRAMES)]
+    for path, protocol in zip(paths, ("seeed", None), strict=True):
+        with pytest.raises(ValueError, match=r"x\.(bin|npy) names no buses; leave bus out"):
+            canser.read(path, protocol, bus="can0")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_a_script_completes_commands_and_options(
+    shell: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("shtab", reason="completion is an optional extra")
+    with pytest.raises(SystemExit) as ended:
+        main(["--print-completion", shell])
+    assert ended.value.code == 0
+    script = capfd.readouterr().out
+    for word in ("convert", "simulate") if shell == "tcsh" else ("convert", "--epoch", "--bus"):
+        assert word in script

@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from canser._frames import YEAR_2000_NS
 from canser.codec.decoder import Control, Stats
 from canser.files.fits import Fit
 from canser.recording.recording import RecordingInfo
@@ -20,10 +21,6 @@ __all__ = [
     "stats_lines",
     "time_text",
 ]
-
-
-# Nanoseconds since 1970: a time this late is no device's counter.
-_YEAR_2000: Final = 946_684_800 * 10**9
 
 
 def conservation(stats: Stats) -> str:
@@ -78,7 +75,7 @@ def time_text(
 def _seconds(ts: int) -> str:
     """Return a time in seconds, with its date where it can only be one."""
     text = f"{ts / 1e9:.3f}"
-    if ts < _YEAR_2000:
+    if ts < YEAR_2000_NS:
         return text
     return f"{text} ({datetime.fromtimestamp(ts / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC)"
 

@@ -201,6 +201,7 @@ def info(
     *,
     format: str | None = None,  # noqa: A002 - as in `canser.read`
     ts_unit: str | None = None,
+    bus: str | None = None,
     sort: bool = False,
     as_is: bool = False,
     progress: Progress | None = None,
@@ -211,8 +212,10 @@ def info(
 
     Parameters
     ----------
-    source, format, ts_unit, sort, as_is, progress
+    source, format, ts_unit, bus, as_is, progress
         As for `canser.blocks`.
+    sort : bool
+        As for `canser.read`.
     protocol : str, optional
         The protocol of raw bytes. Without it the one that fits them best, of a file with a path.
 
@@ -252,7 +255,7 @@ def info(
     check_protocol(protocol, ts_unit)
 
     def opened(protocol: str | None) -> Blocks:
-        options = ReadOptions(protocol=protocol, ts_unit=ts_unit, as_is=as_is)
+        options = ReadOptions(protocol=protocol, ts_unit=ts_unit, bus=bus, as_is=as_is)
         return Blocks(source, options, format=format, progress=progress, sort=sort)
 
     fits: list[Fit] = []

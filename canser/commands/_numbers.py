@@ -8,10 +8,13 @@ import math
 import re
 from argparse import ArgumentTypeError
 from collections.abc import Callable
+from datetime import datetime
 from fractions import Fraction
 from typing import Final
 
-__all__ = ["byte_count", "duration", "real", "whole"]
+from canser.files.selection import Moment
+
+__all__ = ["byte_count", "date", "duration", "moment", "real", "whole"]
 
 # More digits than a count of anything has.
 _DIGITS_MOST: Final = 30
@@ -30,6 +33,13 @@ _UNITS: Final = {
     None: 1, "k": 10**3, "K": 10**3, "M": 10**6, "G": 10**9,
     "ki": 1 << 10, "Ki": 1 << 10, "Mi": 1 << 20, "Gi": 1 << 30,
 }  # fmt: skip
+
+
+# A date and a time of day, seconds and their fraction at will, and the offset from UTC.
+_DATE: Final = re.compile(
+    r"(?P<seconds>[0-9]{4}-[0-9]{2}-[0-9]{2}[T ][0-9]{2}:[0-9]{2}(?::[0-9]{2})?)"
+    r"(?:\.(?P<fraction>[0-9]{1,9}))?(?P<offset>Z|[+-][0-9]{2}:[0-9]{2})?"
+)
 
 
 def whole(*, least: int = 0, most: int | None = None) -> Callable[[str], int]:
@@ -91,3 +101,31 @@ def byte_count(text: str) -> int:
 
 def _no_number(text: str, wanted: str) -> ArgumentTypeError:
     return ArgumentTypeError(f"{text!r} is no number; write {wanted}")
+
+
+def date(text: str) -> int:
+    """Return the nanoseconds since 1970 of a date and time; UTC where it has no offset."""
+    found = _DATE.fullmatch(text)
+    try:
+        if found is None:
+            raise ValueError
+        moment = datetime.fromisoformat(found["seconds"] + (found["offset"] or "+00:00"))
+    except ValueError:
+        raise ArgumentTypeError(
+            f"cannot read the date {text!r}; write 2026-11-26T08:00:00, with +01:00 behind it "
+            "where it is not UTC"
+        ) from None
+    fraction = int((found["fraction"] or "").ljust(9, "0"))
+    return int(moment.timestamp()) * 10**9 + fraction
+
+
+def moment(text: str) -> Moment:
+    """Return a time in a stream: a date, or a time from the first frame on."""
+    if _DURATION.fullmatch(text):
+        return Moment(round(duration(text) * 1e9), from_first=True)
+    try:
+        return Moment(date(text), from_first=False)
+    except ArgumentTypeError:
+        raise ArgumentTypeError(
+            f"cannot read the time {text!r}; write 500ms, 90s, 1h, or 2026-11-26T08:00:00"
+        ) from None

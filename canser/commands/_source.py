@@ -6,10 +6,14 @@ import sys
 from collections.abc import Iterator
 from typing import BinaryIO
 
+import numpy as np
+
+from canser._frames import FRAME_DTYPE, match
 from canser._input import Source
 from canser._progress import Progress
 from canser._protocols import TS_UNITS, protocols
 from canser.codec.decoder import Stats
+from canser.commands._numbers import date, moment, whole
 from canser.commands._parser import CallError, DataError, Parser, protocol_name, say
 from canser.errors import (
     ForeignFormatError,
@@ -21,10 +25,12 @@ from canser.files.formats import format_names
 from canser.files.judge import AUTO, is_auto
 from canser.files.reader import ReadOptions
 from canser.files.reading import Blocks
+from canser.files.selection import Selection
 
 __all__ = [
     "ProtocolNeededError",
     "as_is_argument",
+    "bus_argument",
     "check_found",
     "open_source",
     "opened",
@@ -32,6 +38,8 @@ __all__ = [
     "read_options",
     "refuse_doubtful",
     "say_remarks",
+    "selection",
+    "selection_arguments",
     "source_arguments",
 ]
 
@@ -67,11 +75,64 @@ def source_arguments() -> argparse.ArgumentParser:
         choices=format_names(),
         help="format of IN (default: by its content, else by its suffix, else raw bytes)",
     )
+    bus_argument(source)
     source.add_argument(
         "--sort", action="store_true", help="order all frames by their time, in memory"
     )
     as_is_argument(source)
     return source
+
+
+def bus_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the argument that names one bus of a log of several."""
+    parser.add_argument(
+        "--bus",
+        metavar="NAME",
+        help="only the frames of that channel of a log, such as can0 (default: all)",
+    )
+
+
+def selection_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that choose frames."""
+    group = parser.add_argument_group(
+        "frames",
+        "TIME counts from the first frame, such as 500ms, 90s, 1h, or is a date, such as "
+        "2026-11-26T08:00:00 (UTC, or with its offset, +01:00)",
+    )
+    group.add_argument("--start", metavar="TIME", type=moment, help="only frames from TIME on")
+    group.add_argument("--end", metavar="TIME", type=moment, help="only frames before TIME")
+    group.add_argument("--count", metavar="N", type=whole(least=1), help="only the first N frames")
+    group.add_argument(
+        "--filter",
+        dest="filters",
+        metavar="FILTER",
+        action="append",
+        default=[],
+        help="only frames that pass: an id of up to three (standard) or of eight digits "
+        "(extended), ID:MASK, ID~MASK (inverse) or #MASK (error frames), hexadecimal; several: "
+        "any of them",
+    )
+    group.add_argument(
+        "--epoch",
+        metavar="DATE",
+        type=date,
+        help="when the first frame came: times that count from a device's start become dates",
+    )
+
+
+def selection(args: argparse.Namespace) -> Selection:
+    """Return the frames that the arguments choose, or raise CallError."""
+    try:
+        match(np.empty(0, FRAME_DTYPE), *args.filters)
+    except ValueError as error:
+        raise CallError(str(error)) from None
+    return Selection(
+        filters=tuple(args.filters),
+        start=args.start,
+        end=args.end,
+        count=args.count,
+        epoch_ns=args.epoch,
+    )
 
 
 def as_is_argument(parser: argparse.ArgumentParser) -> None:
@@ -102,7 +163,7 @@ def _standard_input() -> BinaryIO:
 
 def read_options(args: argparse.Namespace) -> ReadOptions:
     """Return how IN is to be read."""
-    return ReadOptions(protocol=args.protocol, ts_unit=args.ts_unit, as_is=args.as_is)
+    return ReadOptions(protocol=args.protocol, ts_unit=args.ts_unit, bus=args.bus, as_is=args.as_is)
 
 
 def open_source(args: argparse.Namespace, progress: Progress | None = None) -> Blocks:

@@ -1,13 +1,14 @@
 """Frames that are to be sent: judged before they go out, for false ones do harm on a bus."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
 from canser._frames import FrameArray
 from canser.codec.decoder import Decoder
 from canser.codec.doubt import LEAST_BYTES, is_doubtful
-from canser.commands._parser import DataError
+from canser.commands._parser import CallError, DataError
 from canser.commands._source import check_found, opened, options_named
 from canser.files.fits import identify
 from canser.files.formats import RAW
@@ -19,29 +20,42 @@ __all__ = ["TrafficFile"]
 
 
 class TrafficFile(Iterator[FrameArray]):
-    """A file of frames to send, "-" for the standard input; raw bytes are of `protocol`.
+    """Files of frames to send, "-" for the standard input; raw bytes are of `protocol`.
 
     What raw bytes are is judged when they are opened: DataError unless they fit the protocol, as
     `identify` tells by all of a file, or by the first 64 KiB of a pipe. A file should be read to
     its end once before anything of it is sent: at the end comes a DataError if too many of its
     bytes lie in no packet. Of a pipe each block is judged before it is handed on.
-    `as_is` accepts all. CallError, FormatError as from `open_source`.
+    `options.as_is` accepts all. Several files are one stream, and each is judged; a pipe is
+    played alone. CallError, FormatError as from `open_source`.
     """
 
     def __init__(
-        self, path: str, file_format: str | None, *, protocol: str, ts_unit: str, as_is: bool
+        self,
+        paths: list[str],
+        file_format: str | None,
+        options: ReadOptions,
+        *,
+        sort: bool = False,
     ) -> None:
-        options = ReadOptions(protocol=protocol, ts_unit=ts_unit, as_is=as_is, raw_only=True)
+        options = replace(options, raw_only=True)
+        if len(paths) > 1:
+            for path in paths:
+                if not Path(path).exists() or Path(path).is_dir():
+                    continue  # the error of opening it says more
+                if not Path(path).is_file():
+                    raise CallError(f"{path} can be read only once: give it alone")
+                TrafficFile([path], file_format, options).__exit__()
         with options_named():
-            self.blocks = Blocks(opened([path]), options, format=file_format)
-        self.name = "standard input" if path == "-" else path
-        self._as_is = as_is
-        self._is_pipe = not Path(path).is_file()
+            self.blocks = Blocks(opened(paths), options, format=file_format, sort=sort)
+        self.name = ", ".join("standard input" if path == "-" else path for path in paths)
+        self._as_is = options.as_is
+        self._is_pipe = not Path(paths[0]).is_file()
         self._judged = (0, 0)  # bytes in and bytes skipped when a block was last judged
         try:
             with options_named():
                 raw = self.blocks.format == RAW  # a pipe is waited for
-            if raw and not as_is:
+            if raw and not options.as_is:
                 self._judge_raw(self.blocks.decoder)
         except BaseException:
             self.blocks.close()

@@ -6,7 +6,7 @@ import signal
 import sys
 from collections.abc import Container, Iterator, Sequence
 from importlib import import_module
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 import canser
 from canser._output import optional_messages
@@ -31,7 +31,11 @@ from canser.errors import (
     StreamClosedError,
 )
 
-__all__ = ["main", "parser"]
+__all__ = ["completion", "main", "parser"]
+
+
+# What the help calls arguments that are names of files.
+_FILES: Final = ("IN", "OUT", "FILE")
 
 
 class _Version(argparse.Action):
@@ -43,6 +47,41 @@ class _Version(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
         show([f"canser {canser.__version__}"])
         parser.exit()
+
+
+class _Completion(argparse.Action):
+    """Print a script that completes the command in a shell."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str) -> None:  # noqa: A002
+        super().__init__(
+            option_strings, dest, choices=("bash", "zsh", "tcsh"), metavar="SHELL", help=help
+        )
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,  # noqa: ARG002 - as argparse calls it
+        values: Any,
+        option: str | None = None,  # noqa: ARG002
+    ) -> NoReturn:
+        show(completion(values).splitlines())
+        parser.exit()
+
+
+def completion(shell: str) -> str:
+    """Return the script that completes the command in a shell, bash, zsh or tcsh."""
+    try:
+        import shtab  # noqa: PLC0415 - an optional extra
+    except ModuleNotFoundError:
+        raise CallError("completion needs shtab: pip install 'canser[completion]'") from None
+    whole = parser(COMMANDS)
+    for action in whole._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for command in action.choices.values():
+                for each in command._actions:
+                    if each.metavar in _FILES:
+                        setattr(each, "complete", shtab.FILE)  # noqa: B010 - argparse has no such field
+    return str(shtab.complete(whole, shell))
 
 
 def parser(names: Container[str]) -> argparse.ArgumentParser:
@@ -66,6 +105,11 @@ def parser(names: Container[str]) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     whole.add_argument("--version", action=_Version, help="show the version and exit")
+    whole.add_argument(
+        "--print-completion",
+        action=_Completion,
+        help="print a script that completes commands and options in bash, zsh or tcsh",
+    )
     commands = whole.add_subparsers(dest="command", metavar="COMMAND")
     for name, about in COMMANDS.items():
         if name in names:

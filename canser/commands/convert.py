@@ -13,6 +13,8 @@ from canser.commands._source import (
     options_named,
     read_options,
     say_remarks,
+    selection,
+    selection_arguments,
     source_arguments,
 )
 from canser.files.formats import RAW, format_names
@@ -34,7 +36,8 @@ def add(commands: Commands) -> None:
         "  canser convert run.log run.bin -p serial --ts-unit us\n"
         "  canser convert run.npy run.csv\n"
         "  canser convert run.pcapng run.bin            the bytes of the line\n"
-        "  canser convert monday.log tuesday.log both.npy",
+        "  canser convert monday.log tuesday.log both.npy\n"
+        "  canser convert run.bin run.log -p serial --epoch 2026-11-26T08:00:00 --filter 123",
         run=run,
         parents=[source_arguments()],
     )
@@ -54,6 +57,7 @@ def add(commands: Commands) -> None:
         help="format of OUT (default: by its suffix, .bin for raw bytes; on standard "
         "output candump, or raw where IN holds frames)",
     )
+    selection_arguments(parser)
     parser.add_argument("--force", action="store_true", help="replace OUT if it is there")
     parser.add_argument(
         "--strict",
@@ -96,6 +100,7 @@ def run(args: argparse.Namespace) -> int:
         args.sources += [args.target] if args.target is not None else []
         args.target = args.output
     to = _target_format(args)
+    chosen = selection(args)
     check_apart(args.target, *args.sources)
     with Progress(f"converting {args.sources[0]}") as progress, _open(args, progress) as source:
         if to is None:
@@ -108,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
             protocol=args.protocol, ts_unit=args.ts_unit or "ms", strict=args.strict
         )
         with whole_file(args.target, force=args.force) as target:
-            done = convert_opened(source, target, to, options)
+            done = convert_opened(source, target, to, options, chosen)
             check_found(source, as_is=args.as_is)
         stats = source.stats
     inputs = ", ".join(args.sources)

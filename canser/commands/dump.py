@@ -2,14 +2,18 @@
 
 import argparse
 
-import numpy as np
-
-from canser._frames import FRAME_DTYPE, match
 from canser._output import standard_output
 from canser.analysis import report
-from canser.commands._parser import GOOD, CallError, Commands, add_command, say
-from canser.commands._source import check_found, open_source, say_remarks, source_arguments
-from canser.files.candump import Writer as CandumpWriter
+from canser.commands._parser import GOOD, Commands, add_command, say
+from canser.commands._source import (
+    check_found,
+    open_source,
+    say_remarks,
+    selection,
+    selection_arguments,
+    source_arguments,
+)
+from canser.files.candump import STAMPS, Dump
 
 __all__ = ["add"]
 
@@ -21,32 +25,29 @@ def add(commands: Commands) -> None:
         "dump",
         "  canser dump run.bin -p seeed | head\n"
         "  canser dump run.bin -p seeed --filter 123 --filter 18FEF100 --filter 7E0:7F8\n"
-        "  canser dump run.pcapng\n"
+        "  canser dump run.pcapng --start 10s --end 20s -t z\n"
+        "  canser dump two-buses.log --bus can1 --count 100\n"
         "  cat /dev/ttyUSB0 | canser dump - -p seeed",
         run=run,
         parents=[source_arguments()],
     )
+    selection_arguments(parser)
     parser.add_argument(
-        "--filter",
-        dest="filters",
-        metavar="FILTER",
-        action="append",
-        default=[],
-        help="only frames that pass: an id of up to three (standard) or of eight digits "
-        "(extended), ID:MASK, ID~MASK (inverse) or #MASK (error frames), hexadecimal; several: "
-        "any of them",
+        "-t",
+        dest="stamps",
+        choices=STAMPS,
+        default="a",
+        help="times: a absolute, A with the date, d since the frame before, z since the first "
+        "frame, as candump -t (default: a)",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    try:
-        match(np.empty(0, FRAME_DTYPE), *args.filters)
-    except ValueError as error:
-        raise CallError(str(error)) from None
+    chosen = selection(args)
     with open_source(args) as source, standard_output() as out:
-        writer = CandumpWriter(out)
-        for frames in source:
-            writer.write(frames.compress(match(frames, *args.filters)))
+        dump = Dump(args.stamps)
+        for frames in chosen.apply(source):
+            out.write(dump.text(frames))
             out.flush()
         stats = source.stats
     if stats is not None and (stats.bytes_skipped or stats.controls):

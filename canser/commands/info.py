@@ -29,7 +29,9 @@ def add(commands: Commands) -> None:
         "  canser info run.bin\n"
         "  canser info run.bin -p serial --ts-unit us\n"
         "  canser info run.log\n"
-        "  canser info run.pcapng\n\n"
+        "  canser info run.pcapng\n"
+        "  canser info monday.log tuesday.log\n"
+        "  canser info two-buses.log --bus can1\n\n"
         "  $ canser info car.bin -p serial --top 2 | tail -n 4\n"
         "        id     frames   share     rate/s   period ms  dlc\n"
         "       140      9,030  10.94%     100.02       10.00  8\n"
@@ -63,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
                 args.protocol,
                 ts_unit=args.ts_unit,
                 format=args.source_format,
+                bus=args.bus,
                 sort=args.sort,
                 as_is=args.as_is,
                 progress=progress,

@@ -12,7 +12,7 @@ from canser.commands._numbers import real
 from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, say
 from canser.commands._port import open_port, port_arguments
 from canser.commands._sending import Sender
-from canser.commands._source import as_is_argument
+from canser.commands._source import as_is_argument, bus_argument, read_options
 from canser.commands._traffic import TrafficFile
 from canser.errors import CanserError
 from canser.files.formats import format_names
@@ -31,14 +31,17 @@ def add(commands: Commands) -> None:
         "play",
         "  canser play run.pcapng -c /dev/ttyUSB0 -p seeed --bitrate 500000\n"
         "  canser play run.log -c /dev/ttyACM0 -p serial --speed 2 --loop\n"
-        "  canser play run.csv -c socket://gateway:4000 -p serial --gap 10",
+        "  canser play run.csv -c socket://gateway:4000 -p serial --gap 10\n"
+        "  canser play two-buses.log --bus can1 -c /dev/ttyACM0 -p serial",
         run=run,
         parents=[port_arguments()],
     )
     parser.add_argument(
-        "source",
+        "sources",
         metavar="IN",
-        help="a file of frames, a recording, raw bytes of the protocol; or -. It is judged before "
+        nargs="+",
+        help="a file of frames, a recording, raw bytes of the protocol; or -. Several files are "
+        "one stream, in this order. IN is judged before "
         "anything is sent: all of a file, of a pipe of raw bytes the first 64 KiB and each block",
     )
     parser.add_argument(
@@ -57,6 +60,10 @@ def add(commands: Commands) -> None:
         type=real(most=_GAP_MOST_MS),
         help="milliseconds between two frames, instead of their recorded times",
     )
+    bus_argument(parser)
+    parser.add_argument(
+        "--sort", action="store_true", help="order all frames by their time, in memory"
+    )
     as_is_argument(parser)
     parser.add_argument("--loop", action="store_true", help="over and over, until interrupted")
     parser.add_argument(
@@ -72,9 +79,9 @@ _ERRORS: Final = (CallError, CanserError, DataError, ValueError, OSError)
 
 
 def run(args: argparse.Namespace) -> int:
-    file = Path(args.source).is_file()  # else a pipe, which can be read once
+    file = all(Path(path).is_file() for path in args.sources)  # else a pipe: read once
     if args.loop and not file:
-        raise CallError(f"{args.source} can be read only once; --loop needs a file")
+        raise CallError(f"{args.sources[0]} can be read only once; --loop needs a file")
     gap_ns = None if args.gap is None else int(args.gap * 1e6)
     # Judging a pipe may wait for its bytes. A signal ends that at once: nothing is sent yet.
     pipe = None if file else _open(args)
@@ -198,11 +205,10 @@ class _Source:
 def _open(args: argparse.Namespace) -> TrafficFile:
     """Open IN; raw bytes are of the port's protocol, and a recording knows its own."""
     return TrafficFile(
-        args.source,
+        args.sources,
         args.source_format,
-        protocol=args.protocol,
-        ts_unit=args.ts_unit,
-        as_is=args.as_is,
+        read_options(args),
+        sort=args.sort,
     )
 
 

@@ -30,7 +30,7 @@ from canser.commands._parser import (
     say,
     show,
 )
-from canser.commands._source import as_is_argument, say_remarks
+from canser.commands._source import as_is_argument, bus_argument, read_options, say_remarks
 from canser.commands._traffic import TrafficFile
 from canser.errors import ReaderGoneError
 from canser.simulation.simulator import PACES, Simulator, SimulatorReport
@@ -75,6 +75,7 @@ def add(commands: Commands) -> None:
         help="the frames to send: a .log, .csv or .npy file, or raw bytes of the protocol "
         "(default: a vehicle's traffic, for ever)",
     )
+    bus_argument(parser)
     as_is_argument(parser)
     parser.add_argument(
         "--seconds",
@@ -300,9 +301,7 @@ class _File:
 
     def _open(self) -> Iterator[FrameArray]:
         args = self._args
-        with TrafficFile(
-            args.traffic, None, protocol=args.protocol, ts_unit=args.ts_unit, as_is=args.as_is
-        ) as file:
+        with TrafficFile([args.traffic], None, read_options(args)) as file:
             yield from filter(len, map(self._refusals.keep, file))
         if not self._told_remarks:
             self._told_remarks = True

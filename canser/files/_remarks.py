@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from canser.errors import CanserWarning
+from canser.errors import CanserWarning, FormatError
 
 __all__ = ["Tell", "Unkept", "tell_all"]
 
@@ -30,12 +30,31 @@ _DIRECTIONS: Final = {
 class Unkept:
     """Counts what the lines of a text say of frames, and FRAME_DTYPE has no field for."""
 
-    def __init__(self) -> None:
+    def __init__(self, bus: str | None = None) -> None:
+        self.bus = bus  # that is read, None for all
+        self._other_buses: dict[str, int] = {}  # frames of those that are not read
         self.raw_dlcs = 0  # frames with a raw dlc of 9 to 15, which is 8 bytes
         self.nuls = 0  # bytes at the end of the file
         self.columns: list[str] = []  # names of columns that are not read
         # Frames by channel and direction; None where the format has no such word.
         self._counts: dict[tuple[str | None, str | None], int] = {}
+
+    def is_other_bus(self, channel: str | None) -> bool:
+        """Return whether a frame is of a bus that is not read; it is counted."""
+        if self.bus is None or channel == self.bus:
+            return False
+        name = channel or ""
+        if name not in self._other_buses and len(self._other_buses) >= _NAMES_MOST:
+            name = _MORE
+        self._other_buses[name] = self._other_buses.get(name, 0) + 1
+        return True
+
+    def check_bus(self, name: str) -> None:
+        """Raise FormatError if the file has frames, and none of the bus that is read."""
+        if self._other_buses and not self._counts:
+            raise FormatError(
+                f"{name} has no frame of the bus {self.bus}; it has {_listed(self._other_buses)}"
+            )
 
     def add(self, channel: str | None, direction: str | None) -> None:
         """Count a frame."""
@@ -67,6 +86,9 @@ class Unkept:
         if len(channels) > 1:
             number = f"more than {_NAMES_MOST}" if _MORE in channels else str(len(channels))
             remarks.append(f"frames of {number} channels become one: {_listed(channels)}")
+        if self._other_buses:
+            left_out = sum(self._other_buses.values())
+            remarks.append(f"frames of other buses, left out: {left_out:,}")
         if directions.keys() - {"received"}:
             remarks.append(f"direction is not kept: {_listed(directions)}")
         if self.raw_dlcs:

@@ -20,6 +20,7 @@ known is written as 0. `Writer` counts both.
 
 import re
 from collections.abc import Iterator
+from functools import partial
 from typing import BinaryIO, Final
 
 import numpy as np
@@ -64,7 +65,7 @@ def sniff(head: bytes) -> bool:
 
 def read(source: Input, options: ReadOptions) -> Reader:
     """Open a log."""
-    return DecodedReader(source, options, parse)
+    return DecodedReader(source, options, partial(parse, bus=options.bus), has_buses=True)
 
 
 def write(file: BinaryIO, options: WriteOptions) -> "Writer":  # noqa: ARG001 - as every format
@@ -90,26 +91,7 @@ class Writer:
         ts = np.where(unknown, 0, frames["ts"])
         self.ts_unknown += int(unknown.sum())
         self.ts_cut += int((ts % 1000 != 0).sum())
-
-        err = frames["err"]
-        long = frames["ext"] | err
-        flagged: npt.NDArray[np.uint32] = frames["id"] | err * np.uint32(_notation.ERR_FLAG)
-        ids = _text.hexadecimal(flagged, 8)
-        ids[:, :5][~long] = 0
-        remote = np.zeros((len(frames), 2), np.uint8)
-        remote[frames["rtr"], 0] = ord("R")
-        remote[:, 1] = np.where(frames["rtr"], frames["dlc"] + ord("0"), 0)
-        return _text.join(
-            len(frames),
-            b"(",
-            _text.seconds(ts, 6),
-            b") can0 ",
-            ids,
-            b"#",
-            remote,
-            _text.payload(frames),
-            b"\n",
-        )
+        return _lines(frames, _text.seconds(ts, 6))
 
     def finish(self) -> list[str]:
         """Return what a log could not hold."""
@@ -120,15 +102,89 @@ class Writer:
         return [f"{what}: {count:,}" for what, count in remarks.items() if count]
 
 
-def parse(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[FrameArray]:
+def _lines(frames: FrameArray, times: _text.Column) -> bytes:
+    """Return frames as lines, with these times."""
+    err = frames["err"]
+    long = frames["ext"] | err
+    flagged: npt.NDArray[np.uint32] = frames["id"] | err * np.uint32(_notation.ERR_FLAG)
+    ids = _text.hexadecimal(flagged, 8)
+    ids[:, :5][~long] = 0
+    remote = np.zeros((len(frames), 2), np.uint8)
+    remote[frames["rtr"], 0] = ord("R")
+    remote[:, 1] = np.where(frames["rtr"], frames["dlc"] + ord("0"), 0)
+    return _text.join(
+        len(frames),
+        b"(",
+        times,
+        b") can0 ",
+        ids,
+        b"#",
+        remote,
+        _text.payload(frames),
+        b"\n",
+    )
+
+
+# How a time is shown: as it is, with its date, since the frame before, since the first frame.
+STAMPS: Final = ("a", "A", "d", "z")
+
+
+class Dump:
+    """Shows frames as lines, with times as `candump -t` has them."""
+
+    def __init__(self, stamps: str) -> None:
+        self._stamps = stamps
+        self._last_ns = NO_TIME  # of the frame before, or with "z" of the first one
+
+    def text(self, frames: FrameArray) -> bytes:
+        """Return frames as lines; a time that is not known is shown as 0."""
+        unknown = frames["ts"] == NO_TIME
+        ts = np.where(unknown, 0, frames["ts"])
+        if self._stamps == "A":
+            return _lines(frames, _dates(ts))
+        if self._stamps != "a":
+            ts = self._since(ts, unknown)
+        return _lines(frames, _text.seconds(ts, 6))
+
+    def _since(
+        self, ts: npt.NDArray[np.int64], unknown: npt.NDArray[np.bool_]
+    ) -> npt.NDArray[np.int64]:
+        known = ts[~unknown]
+        since = np.zeros_like(ts)
+        if not len(known):
+            return since
+        if self._last_ns == NO_TIME:
+            self._last_ns = int(known[0])
+        if self._stamps == "z":
+            since[~unknown] = known - self._last_ns
+        else:
+            since[~unknown] = np.diff(known, prepend=self._last_ns)
+            self._last_ns = int(known[-1])
+        return since
+
+
+def _dates(ts: npt.NDArray[np.int64]) -> _text.Column:
+    """Return times as dates and times of day, UTC, with six places."""
+    texts = np.datetime_as_string(ts.view("M8[ns]"), unit="us").astype("S")
+    width = texts.dtype.itemsize
+    column = np.frombuffer(texts.tobytes(), np.uint8).reshape(len(ts), width).copy()
+    column[column == ord("T")] = ord(" ")
+    return column
+
+
+def parse(
+    file: BinaryIO, name: str, tell: Tell | None = None, bus: str | None = None
+) -> Iterator[FrameArray]:
     """Yield the frames of a log, block by block.
 
     `file`: open for reading bytes; `name`: what messages call it. `tell` is called at the end
     with each remark on what the log says and the frames do not hold; without it a remark is a
-    CanserWarning. FormatError names the first line that is no frame of classic CAN.
+    CanserWarning. `bus`: the channel that is read, None for all. FormatError names the first
+    line that is no frame of classic CAN.
     """
-    unkept = Unkept()
+    unkept = Unkept(bus)
     yield from _text.in_blocks(_rows(file, name, unkept))
+    unkept.check_bus(name)
     tell_all(unkept.remarks(), name, tell)
 
 
@@ -143,6 +199,8 @@ def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[Row]:
                 "canser reads lines such as (1544106679.432583) can0 562#122DF953"
             )
         ts, channel, *notation, raw_dlc, direction = found.groups()
+        if unkept.is_other_bus(channel):
+            continue
         try:
             yield _notation.groups_to_row((*notation, raw_dlc), _text.parse_seconds(ts))
         except ValueError as error:

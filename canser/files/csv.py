@@ -16,6 +16,7 @@ import base64
 import csv
 import re
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, BinaryIO, Final
 
 import numpy as np
@@ -59,7 +60,7 @@ def sniff(head: bytes) -> bool:
 
 def read(source: Input, options: ReadOptions) -> Reader:
     """Open a file."""
-    return DecodedReader(source, options, parse)
+    return DecodedReader(source, options, partial(parse, bus=options.bus), has_buses=True)
 
 
 def write(file: BinaryIO, options: WriteOptions) -> "Writer":  # noqa: ARG001 - as every format
@@ -127,16 +128,19 @@ def _base64(frames: FrameArray) -> _text.Column:
     return text
 
 
-def parse(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[FrameArray]:
+def parse(
+    file: BinaryIO, name: str, tell: Tell | None = None, bus: str | None = None
+) -> Iterator[FrameArray]:
     """Yield the frames of a file, block by block.
 
     `file`: open for reading bytes; `name`: what messages call it. `tell` is called at the end
     with each remark on what the file says and the frames do not hold; without it a remark is a
-    CanserWarning. FormatError names the first line that is no frame, or the columns that are
-    missing.
+    CanserWarning. `bus`: the channel that is read, None for all. FormatError names the first
+    line that is no frame, or the columns that are missing.
     """
-    unkept = Unkept()
+    unkept = Unkept(bus)
     yield from _text.in_blocks(_rows(file, name, unkept))
+    unkept.check_bus(name)
     tell_all(unkept.remarks(), name, tell)
 
 
@@ -155,6 +159,8 @@ def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[Row]:
         raise FormatError(
             f"{name}: no column {', '.join(missing)}; the first line must name {','.join(COLUMNS)}"
         )
+    if unkept.bus is not None and "channel" not in names:
+        raise FormatError(f"{name}: no column channel names the bus; leave the bus out")
     places = [names.index(column) for column in COLUMNS]
     channel, direction = (names.index(each) if each in names else None for each in _COUNTED)
     unkept.columns = [each for each in names if each not in COLUMNS and each not in _COUNTED]
@@ -163,6 +169,8 @@ def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[Row]:
             fields = next(csv.reader([text], strict=True, skipinitialspace=True))
             if len(fields) != len(names):
                 raise ValueError(f"{len(fields)} fields where the header has {len(names)}")
+            if unkept.is_other_bus(None if channel is None else fields[channel]):
+                continue
             yield check_row(_row([fields[place] for place in places]))
         except (ValueError, csv.Error) as error:
             raise FormatError(f"{name}, line {number}: {error}") from None

@@ -28,6 +28,8 @@ class ReadOptions:
     offsets: Offsets | None = None
     threads: int = 1
     as_is: bool = False
+    #: Of a log of several buses the channel that is read, such as "can0"; None for all.
+    bus: str | None = None
     #: `protocol` and `ts_unit` are those of raw bytes; a recording has its own.
     raw_only: bool = False
 
@@ -45,12 +47,15 @@ class Reader:
         Which protocol "auto" has found, "" if it was given.
     bytes_done : int
         How far in the file the reading has come.
+    has_buses : bool
+        Whether the format names the bus of each frame.
     """
 
     decoder: Decoder | None = None
     recording: RecordingInfo | None = None
     found = ""
     bytes_done = 0
+    has_buses = False
 
     def blocks(self, ends: Callable[[], bool]) -> Iterator[FrameArray]:
         """Yield the frames, block by block.
@@ -84,7 +89,10 @@ class Reader:
 class DecodedReader(Reader):
     """Reads a format that holds frames, by a function that parses it."""
 
-    def __init__(self, source: Input, options: ReadOptions, parse: Parse) -> None:
+    def __init__(
+        self, source: Input, options: ReadOptions, parse: Parse, *, has_buses: bool = False
+    ) -> None:
+        self.has_buses = has_buses
         self._source, self._out, self._parse = source, options.out, parse
         self._remarks: list[str] = []
 

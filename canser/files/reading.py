@@ -12,7 +12,7 @@ import numpy as np
 
 from canser._core.buffers import Offsets, output_offsets
 from canser._core.stream import Control
-from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, concat, copy_records
+from canser._frames import FRAME_DTYPE, NO_TIME, YEAR_2000_NS, FrameArray, concat, copy_records
 from canser._guards import Uncopied
 from canser._input import Input, Source
 from canser._named import named
@@ -32,9 +32,6 @@ Progress = Callable[[int, int | None], None]
 
 # One file, or several in their order.
 Sources = Source | Sequence[Source]
-
-# Nanoseconds since 1970: a time this late is no device's counter.
-_YEAR_2000_NS = 946_684_800 * 10**9
 
 # Frames in a block of those that are sorted: 1.5 MiB.
 _SORTED_BLOCK = 1 << 16
@@ -58,7 +55,7 @@ def blocks(
     offsets: Offsets | None = None,
     threads: int = 1,
     progress: Progress | None = None,
-    sort: bool = False,
+    bus: str | None = None,
     as_is: bool = False,
 ) -> "Blocks":
     """Read the frames of files of any size and format, block by block.
@@ -88,8 +85,8 @@ def blocks(
         same for any number, and without `out` the blocks are cut elsewhere.
     progress : callable, optional
         Is called after each block with the bytes done, and the bytes in all or None.
-    sort : bool
-        Order all frames by their time. All are then held in memory, 24 bytes each.
+    bus : str, optional
+        Of a log of several buses the channel to read, such as "can0"; by default all.
     as_is : bool
         Read the bytes in that protocol whatever they look like, without a warning, though they
         are plainly another format's or a recording says another protocol.
@@ -138,11 +135,12 @@ def blocks(
         out=out,
         offsets=offsets,
         threads=threads,
+        bus=bus,
         as_is=as_is,
     )
     if out is not None:
         Decoder(protocols()[0]).feed_into(b"", out, offsets)
-    return Blocks(source, options, format=format, progress=progress, sort=sort, warns=True)
+    return Blocks(source, options, format=format, progress=progress, warns=True)
 
 
 def _checked(file_format: str | None, **given: Any) -> ReadOptions:
@@ -359,6 +357,8 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         with named(source.name):
             name = choose_format(source, options, self._format)
             reader = find_format(name).read(source, options)
+        if options.bus is not None and not reader.has_buses:
+            raise ValueError(f"{source.name} names no buses; leave bus out")
         if options.offsets is not None and reader.decoder is None:
             raise ValueError(
                 f"{source.name} holds frames, which have no stream offsets; leave offsets out"
@@ -437,7 +437,7 @@ class _Order:
         return remark
 
     def _compare(self, first_ns: int, name: str) -> str:
-        epoch = first_ns >= _YEAR_2000_NS
+        epoch = first_ns >= YEAR_2000_NS
         if self._epoch is None:
             self._epoch = name, epoch
         elif self._epoch[1] != epoch:
@@ -451,7 +451,7 @@ class _Order:
         early = (self._last_ns - first_ns) / 1e9
         remark = (
             f"{name} begins {early:,.3f} s before the end of {self._last_name}; "
-            "sort=True (--sort) orders all frames by their time"
+            "canser.read(..., sort=True), or --sort, orders all frames by their time"
         )
         self.remarks.append(remark)
         return remark
@@ -504,6 +504,7 @@ def read(
     ts_unit: str | None = None,
     offsets: Offsets | None = None,
     threads: int = 1,
+    bus: str | None = None,
     sort: bool = False,
     as_is: bool = False,
 ) -> FrameArray:
@@ -511,11 +512,13 @@ def read(
 
     Parameters
     ----------
-    source, protocol, format, ts_unit, threads, sort, as_is
+    source, protocol, format, ts_unit, threads, bus, as_is
         As for `blocks`.
     offsets : array of int64 or uint64, shape (n,), optional
         For one file of raw bytes or one recording: is filled with the stream offsets of the
         frames.
+    sort : bool
+        Order all frames by their time; those without one come first.
 
     Returns
     -------
@@ -538,7 +541,13 @@ def read(
     >>> frames = canser.read(["monday.log", "tuesday.log"])
     """
     options = _checked(
-        format, protocol=protocol, ts_unit=ts_unit, offsets=offsets, threads=threads, as_is=as_is
+        format,
+        protocol=protocol,
+        ts_unit=ts_unit,
+        offsets=offsets,
+        threads=threads,
+        bus=bus,
+        as_is=as_is,
     )
     output_offsets(offsets, 0)
     opened = Blocks(source, options, format=format, sort=sort)

@@ -20,12 +20,16 @@ from canser.files.raw import RawReader
 from canser.files.reader import ReadOptions
 from canser.files.reading import Blocks, Sources, listed
 from canser.files.recordings import RecordingReader, open_writer
+from canser.files.selection import Selection
 from canser.files.writer import WriteOptions
 
 __all__ = ["Converted", "choose_target", "convert", "convert_opened", "write"]
 
 # Formats that hold the bytes of a line.
 BYTES = (RAW, PCAPNG)
+
+
+_EVERYTHING = Selection()
 
 
 @dataclass(slots=True)
@@ -240,20 +244,24 @@ def convert(
 
 
 def convert_opened(
-    blocks: Blocks, file: BinaryIO, to: str, options: WriteOptions, *, whole: bool = True
+    blocks: Blocks,
+    file: BinaryIO,
+    to: str,
+    options: WriteOptions,
+    selection: Selection = _EVERYTHING,
 ) -> Converted:
     """Write the frames of opened files to a file in a format.
 
-    `whole`: all that is in them; the bytes of a line are then copied where both formats have
-    them, and no frame is decoded. Else the protocol of the bytes that are written is that of
-    the bytes that are read, if `options` have none.
+    Where all frames of one file are wanted, and both formats have the bytes of a line, these
+    are copied. Else the protocol of bytes that are written is that of the bytes that are read,
+    if `options` have none.
     """
-    if whole and len(blocks.sources) == 1 and blocks.format in BYTES and to in BYTES:
+    if selection.is_all and len(blocks.sources) == 1 and blocks.format in BYTES and to in BYTES:
         return _copy_bytes(blocks, file, options)
     if to in BYTES and options.protocol is None:
         options = dataclasses.replace(options, protocol=blocks.decoder.protocol)
     try:
-        return _write_all(blocks, file, to, options)
+        return _write_all(selection.apply(blocks), file, to, options)
     except FormatError as error:
         if to not in BYTES:
             raise

@@ -1,1 +1,1 @@
-"""Plugins for python-can: a bus, and readers of captures. Loaded by python-can only."""
+"""Plugins for python-can: a bus, readers and a writer of captures. Loaded by python-can only."""

@@ -70,7 +70,7 @@ def there_and_back(raw: bytes | bytearray | memoryview) -> bytes:
 
 def convert_all(paths: list[Path]) -> None:
     """Read several files as one stream, and write any format."""
-    with canser.blocks(paths, format="candump", sort=True) as blocks:
+    with canser.blocks(paths, format="candump", bus="can0") as blocks:
         assert_type(blocks.stats, canser.Stats | None)
         done = canser.write(blocks, "all.npy", force=True)
     assert_type(done.frames, int)
