@@ -295,11 +295,11 @@ def test_a_file_that_begins_too_early_is_told_and_sort_orders_all(tmp_path: Path
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert len(canser.read([paths[0]])) == 50
-    with pytest.warns(CanserWarning, match="before the end"):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
         got = canser.read(paths, sort=True)
     assert got["ts"].tolist() == [EPOCH + ms * MILLISECOND for ms in range(100)]
-    with pytest.warns(CanserWarning, match="before the end"):
-        canser.convert(paths, tmp_path / "all.npy", sort=True)
+    canser.convert(paths, tmp_path / "all.npy", sort=True)
     assert canser.read(tmp_path / "all.npy").tobytes() == got.tobytes()
 
 
@@ -394,6 +394,20 @@ def test_frames_come_back_from_a_recording_with_their_times(tmp_path: Path, prot
         frame._replace(ts=0) for frame in listed(LOGGED)
     ]
     assert np.abs(back["ts"] - LOGGED["ts"]).max() <= 2 * MILLISECOND
+
+
+def test_times_before_1970_are_0_in_a_recording_and_unknown_ones_those_before(
+    tmp_path: Path,
+) -> None:
+    with pytest.warns(CanserWarning) as caught:
+        canser.write(timed(NO_TIME, -5, SECOND, NO_TIME), tmp_path / "x.pcapng", "seeed")
+    texts = sorted(str(warning.message).split(": ", 1)[1] for warning in caught)
+    assert texts == [
+        "frames with a time before 1970, written as 0: 1",
+        "frames without a time, put right behind those before them: 2",
+    ]
+    times = canser.read(tmp_path / "x.pcapng")["ts"]
+    assert np.abs(times - [0, 0, SECOND, SECOND]).max() <= MILLISECOND
 
 
 # Converting.

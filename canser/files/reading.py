@@ -180,7 +180,7 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         self._inputs: list[Input] = []
         self._readers: list[Reader] = []
         self._files: list[FilePart] = []
-        self._order = _Order()
+        self._order = _Order(sorts=sort)
         self._done = 0  # bytes of the files before the one that is read
         self._closed = False
         self.bytes_total = _total(self.sources)
@@ -415,7 +415,8 @@ class Blocks(Uncopied, Iterator[FrameArray]):
 class _Order:
     """Watches that several files make one stream in time."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, sorts: bool) -> None:
+        self._sorts = sorts
         self.remarks: list[str] = []
         self._name = ""  # of the file that is read
         self._last_name, self._last_ns = "", NO_TIME  # where the files before have ended
@@ -446,7 +447,7 @@ class _Order:
                 f"{name} counts its times from {since}, {self._epoch[0]} from {other}; "
                 "read them one by one"
             )
-        if self._last_ns == NO_TIME or first_ns >= self._last_ns:
+        if self._sorts or self._last_ns == NO_TIME or first_ns >= self._last_ns:
             return ""
         early = (self._last_ns - first_ns) / 1e9
         remark = (

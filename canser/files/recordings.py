@@ -158,7 +158,8 @@ class RecordingFile:
         self._strict = options.strict
         self._refusals = Refusals(options.protocol, times_given=True)
         self._writer = open_writer(file, options)
-        self._last_ns = self._untimed = 0
+        self._last_ns = 0
+        self._untimed = self._early = 0  # frames
         self.frames = self.bytes_out = 0
 
     def write(self, frames: FrameArray) -> None:
@@ -175,8 +176,10 @@ class RecordingFile:
             # The time before each: the places of the known ones, the highest so far.
             known = np.maximum.accumulate(np.where(unknown, -1, np.arange(len(times))))
             times[unknown] = np.where(known < 0, self._last_ns, times[known])[unknown]
-        if times.min() < 0:
-            raise ValueError("a recording holds no times before 1970, and a frame has one")
+        early = int((times < 0).sum())
+        if early:
+            self._early += early
+            times = np.maximum(times, 0)
         raw = self._encoder.encode(kept)
         begins = np.empty(len(kept), np.int64)
         decode(raw, self._protocol.name, offsets=begins, as_is=True)
@@ -202,6 +205,8 @@ class RecordingFile:
             remarks.append(
                 f"frames without a time, put right behind those before them: {self._untimed:,}"
             )
+        if self._early:
+            remarks.append(f"frames with a time before 1970, written as 0: {self._early:,}")
         return remarks
 
 
