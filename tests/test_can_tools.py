@@ -21,8 +21,8 @@ import canser  # noqa: E402
 from canser._frames import FrameArray  # noqa: E402
 from canser.simulation.traffic import vehicle  # noqa: E402
 from device import PATIENCE, Device  # noqa: E402
+from logs import assert_equal, raw, recording, traffic  # noqa: E402
 from plugins import needs_installation  # noqa: E402
-from test_logreader import assert_equal, raw, recording, traffic  # noqa: E402
 
 pytestmark = needs_installation
 

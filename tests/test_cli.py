@@ -16,62 +16,18 @@ import numpy as np
 import pytest
 
 import canser
+from calls import BAD_CALL, BAD_DATA, GOOD, PATIENCE, assert_fails, command, environment, names, run
 from canser.commands import COMMANDS
 from canser.recording.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import line_noise, vehicle
-
-GOOD, BAD_DATA, BAD_CALL = 0, 1, 2
 
 PROTOCOLS = canser.protocols()
 INFO = RecordingInfo("seeed", 2_000_000, None, "ms", "x")
 STATUS = bytes.fromhex("AA55 04 01 02") + bytes(14) + b"\x07"
 
-PRINTING = {"COLUMNS", "LINES", "PYTHONUNBUFFERED"}
-
-# A command that hangs is a failure, on the slowest machine too.
-PATIENCE = 60
-
 posix = pytest.mark.skipif(
     sys.platform == "win32", reason="signals, named pipes and terminals are POSIX"
 )
-
-
-def command(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "canser", *arguments]
-
-
-def environment(**more: str) -> dict[str, str]:
-    """Return this environment without what changes how programs print."""
-    plain = {name: os.environ[name] for name in os.environ.keys() - PRINTING}
-    return plain | {"TERM": "xterm"} | more
-
-
-def run(
-    folder: Path, *arguments: str, stdin: bytes = b"", **more: str
-) -> subprocess.CompletedProcess[bytes]:
-    return subprocess.run(
-        command(*arguments),
-        cwd=folder,
-        input=stdin,
-        capture_output=True,
-        env=environment(**more),
-        timeout=PATIENCE,
-        check=False,
-    )
-
-
-def assert_fails(done: subprocess.CompletedProcess[bytes], code: int, *words: str) -> None:
-    """Assert that a command failed with one line, and that the line has these words."""
-    message = done.stderr.decode()
-    assert done.returncode == code, message
-    assert len(message.splitlines()) == 1, message
-    assert message.startswith("canser"), message
-    for word in words:
-        assert word in message
-
-
-def names(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.iterdir())
 
 
 @pytest.fixture(scope="module")

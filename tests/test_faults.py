@@ -23,9 +23,9 @@ import canser
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser.simulation.traffic import line_noise, vehicle
 from device import PATIENCE, Device, descriptors, until
+from readers import Background, being_read, collect, content, plugged, traffic, waiting
 from reference import Frame
 from samples import array
-from test_ports import Background, being_read, collect, content, plugged, traffic, waiting
 
 # Bytes come here faster than any line has them, and so the device's clock looks too slow.
 pytestmark = pytest.mark.filterwarnings("ignore:.*the device clock:canser.CanserWarning")

@@ -4,7 +4,6 @@ import gc
 import gzip
 import io
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,15 +11,13 @@ import pytest
 can = pytest.importorskip("can")
 
 import canser  # noqa: E402
-from canser._frames import NO_TIME, FrameArray  # noqa: E402
 from canser.errors import (  # noqa: E402
     CanserWarning,
     NoProtocolError,
     RecordingError,
 )
 from canser.python_can.logreader import CaptureReader  # noqa: E402
-from canser.recording.recording import RecordingInfo, RecordingWriter  # noqa: E402
-from canser.simulation.traffic import vehicle  # noqa: E402
+from logs import assert_equal, raw, recording, traffic  # noqa: E402
 from plugins import needs_installation  # noqa: E402
 from reference import Frame  # noqa: E402
 from samples import EPOCH, array  # noqa: E402
@@ -28,41 +25,6 @@ from samples import EPOCH, array  # noqa: E402
 pytestmark = needs_installation
 
 MS = 1_000_000
-
-
-def traffic(protocol: str) -> FrameArray:
-    return vehicle(2, extended=protocol != "cantalope")
-
-
-def raw(path: Path, protocol: str) -> Path:
-    path.write_bytes(canser.encode(traffic(protocol), protocol))
-    return path
-
-
-def recording(path: Path, protocol: str) -> Path:
-    """Write a recording whose bytes came 20 ms after the other, some of a frame at a time."""
-    bytes_ = canser.encode(traffic(protocol), protocol)
-    with RecordingWriter(path, RecordingInfo(protocol, 2_000_000, None, "ms", "x")) as writer:
-        for turn, at in enumerate(range(0, len(bytes_), 401)):
-            writer.write(bytes_[at : at + 401], EPOCH + turn * 20 * MS)
-    return path
-
-
-def assert_equal(messages: list[Any], frames: FrameArray) -> None:
-    """Assert that the messages are these frames, their times too."""
-    assert len(messages) == len(frames)
-    for message, frame in zip(messages, frames, strict=True):
-        data = b"" if frame["rtr"] else frame["data"][: frame["dlc"]].tobytes()
-        want = can.Message(
-            timestamp=0.0 if frame["ts"] == NO_TIME else int(frame["ts"]) / 1e9,
-            arbitration_id=int(frame["id"]),
-            is_extended_id=bool(frame["ext"]),
-            is_remote_frame=bool(frame["rtr"]),
-            is_error_frame=bool(frame["err"]),
-            dlc=int(frame["dlc"]),
-            data=data,
-        )
-        assert message.equals(want, timestamp_delta=0)
 
 
 @pytest.mark.parametrize("protocol", canser.protocols())

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,10 +25,20 @@ import canser
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser.adapters import AdapterConfig
 from canser.live.config import LineConfig
-from canser.simulation.traffic import line_noise, vehicle
+from canser.simulation.traffic import line_noise
 from device import PATIENCE, Device, descriptors, until
+from readers import (
+    Background,
+    being_read,
+    collect,
+    content,
+    frames_of,
+    plugged,
+    traffic,
+    waiting,
+)
 from reference import Frame
-from samples import array, listed
+from samples import array
 
 # Bytes come here faster than any line has them, and so the device's clock looks too slow.
 pytestmark = pytest.mark.filterwarnings("ignore:.*the device clock:canser.CanserWarning")
@@ -36,77 +46,6 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*the device clock:canser.Canser
 PROTOCOLS = canser.protocols()
 STATUS = bytes.fromhex("AA5504 0500" + "00" * 14 + "09")
 RATES = {"cantalope": 115_200, "seeed": 2_000_000, "serial": 115_200}
-
-
-def traffic(seconds: float, protocol: str = "seeed") -> FrameArray:
-    return vehicle(seconds, extended=protocol != "cantalope")
-
-
-def content(frames: FrameArray) -> list[tuple[Any, ...]]:
-    """Return all of the frames but their times."""
-    return [frame[:-1] for frame in listed(frames)]
-
-
-def collect(port: canser.Port, count: int, **options: Any) -> FrameArray:
-    """Read until so many frames are there."""
-    batches = [np.empty(0, FRAME_DTYPE)]
-    while sum(map(len, batches)) < count:
-        batch = port.read_batch(timeout=PATIENCE, **options)
-        assert len(batch), f"{sum(map(len, batches))} frames came, {count} should"
-        batches.append(batch)
-    return np.concatenate(batches)
-
-
-def waiting(port: canser.Port) -> int:
-    """Return how many bytes wait in the ring."""
-    return len(port._ring)
-
-
-def being_read(port: canser.Port) -> bool:
-    """Return whether another thread reads."""
-    if port._reading.acquire(blocking=False):
-        port._reading.release()
-        return False
-    return True
-
-
-@contextlib.contextmanager
-def plugged(protocol: str = "seeed", **options: Any) -> Iterator[tuple[Device, canser.Port]]:
-    with Device() as device, canser.open(device.url, protocol, **options) as port:
-        yield device, port
-
-
-class Background:
-    """A call in a thread of its own: its result or its exception."""
-
-    def __init__(self, call: Callable[[], object]) -> None:
-        self.result: object = None
-        self.error: BaseException | None = None
-
-        def run() -> None:
-            try:
-                self.result = call()
-            except Exception as error:  # noqa: BLE001 - looked at by the test
-                self.error = error
-
-        self._thread = threading.Thread(target=run, daemon=True)
-        self._thread.start()
-
-    @property
-    def running(self) -> bool:
-        return self._thread.is_alive()
-
-    def join(self) -> "Background":
-        self._thread.join(PATIENCE)
-        assert not self._thread.is_alive(), "it still waits"
-        return self
-
-
-def frames_of(reader: Background) -> FrameArray:
-    """Return what a call in another thread has read."""
-    result = reader.join().result
-    assert isinstance(result, np.ndarray), reader.error
-    return result
 
 
 # Reading

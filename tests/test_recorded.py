@@ -13,13 +13,13 @@ import pytest
 
 import canser
 import plain_pcapng
+from calls import BAD_CALL, BAD_DATA, GOOD, assert_fails, names, run
 from canser import _input
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser.errors import CanserWarning, NoProtocolError, RecordingError
 from canser.recording.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
 from canser.timing.clocks import FrameClock
-from test_cli import BAD_CALL, BAD_DATA, GOOD, assert_fails, names, run
 
 INFO = RecordingInfo("seeed", 2_000_000, 500_000, "ms", "/dev/ttyUSB0")
 EPOCH = 1_700_000_000_000_000_000

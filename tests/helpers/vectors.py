@@ -31,7 +31,7 @@ from pathlib import Path
 
 from reference import REASONS, TICK_NS, Control, Frame, Result, Stats
 
-FOLDER = Path(__file__).parent / "vectors"
+FOLDER = Path(__file__).parents[1] / "vectors"
 
 SOURCES = (
     "python-can documentation, CAN over Serial",

@@ -8,13 +8,13 @@ import pytest
 
 from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray
 
-CAPTURES = Path(__file__).parents[2] / "shared" / "captures"
+CAPTURES = Path(__file__).parents[3] / "shared" / "captures"
 
 needs_captures = pytest.mark.skipif(
     not CAPTURES.is_dir(), reason="the folder of real captures, ../shared/captures, is not here"
 )
 
-LOG_FILES = Path(__file__).parents[2] / "shared" / "logs"
+LOG_FILES = Path(__file__).parents[3] / "shared" / "logs"
 
 needs_logs = pytest.mark.skipif(
     not LOG_FILES.is_dir(), reason="the folder of logs by many tools, ../shared/logs, is not here"
