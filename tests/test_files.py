@@ -3,6 +3,7 @@
 import io
 import itertools
 import os
+import sys
 import warnings
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint
@@ -19,6 +20,7 @@ from canser.commands.cli import main
 from canser.files import formats
 from canser.recording.recording import RecordingInfo, RecordingWriter
 from canser.simulation.traffic import vehicle
+from device import descriptors
 from reference import NO_TIME, Frame
 from samples import EPOCH, MILLISECOND, SECOND, array, listed, timed
 
@@ -310,6 +312,24 @@ def test_frames_of_the_same_time_keep_their_order_and_those_without_come_first(
     assert canser.read(saved(tmp_path / "x.npy", frames), sort=True)["id"].tolist() == [
         2, 1, 3, 0, 4,
     ]  # fmt: skip
+
+
+def test_a_file_twice_begins_too_early(tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.npy", LOGGED)
+    with pytest.warns(CanserWarning, match=r"a\.npy begins .* before the end of .*a\.npy"):
+        assert len(canser.read([path, path])) == 2 * len(LOGGED)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="descriptors are counted in /proc or /dev")
+def test_files_that_were_read_are_closed(tmp_path: Path) -> None:
+    paths = [saved(tmp_path / f"{n}.bin", FRAMES[:5], "seeed") for n in range(30)]
+    before = descriptors()
+    most = 0
+    with canser.blocks(paths, "seeed") as blocks:
+        for _ in blocks:
+            most = max(most, descriptors() - before)
+    assert most <= 4
+    assert descriptors() == before
 
 
 def test_the_bytes_of_all_files_are_counted(tmp_path: Path) -> None:

@@ -308,11 +308,6 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         return self._begin().recording
 
     @property
-    def found(self) -> str:
-        """Which protocol "auto" has found, "" if it was given; a pipe is waited for."""
-        return self._begin().found
-
-    @property
     def findings(self) -> list[str]:
         """Which protocols "auto" has found, with the names of the files."""
         return [
@@ -375,14 +370,18 @@ class Blocks(Uncopied, Iterator[FrameArray]):
             at = len(self._files) - 1
             for block in self._named(reader, name):
                 if len(self.sources) > 1:
-                    remark = self._order.follow(block, name)
+                    remark = self._order.follow(block, at, name)
                     if remark and self._warns:
                         warnings.warn(remark, CanserWarning, stacklevel=3)
                 self._files[at] = self._files[at]._replace(
                     frames=self._files[at].frames + len(block)
                 )
                 yield block
-            if len(self._readers) == at + 1 and not self._next():
+            more = len(self._readers) > at + 1 or self._next()
+            # A list of files may be longer than the system lets be open at a time.
+            reader.close()
+            self._inputs[at].close()
+            if not more:
                 return
 
     def _named(self, reader: Reader, name: str) -> Iterator[FrameArray]:
@@ -418,21 +417,21 @@ class _Order:
     def __init__(self, *, sorts: bool) -> None:
         self._sorts = sorts
         self.remarks: list[str] = []
-        self._name = ""  # of the file that is read
+        self._place, self._name = -1, ""  # of the file that is read
         self._last_name, self._last_ns = "", NO_TIME  # where the files before have ended
         self._newest_ns = NO_TIME
         self._epoch: tuple[str, bool] | None = None  # a file, and whether it counts from 1970
 
-    def follow(self, block: FrameArray, name: str) -> str:
-        """Take the next block of a file; return a remark where it begins too early."""
+    def follow(self, block: FrameArray, place: int, name: str) -> str:
+        """Take the next block of a file by its place; return a remark where it begins too early."""
         ts = block["ts"]
         timed = ts[ts != NO_TIME]
         if not len(timed):
             return ""
         remark = ""
-        if name != self._name:
+        if place != self._place:
             self._last_name, self._last_ns = self._name, self._newest_ns
-            self._name = name
+            self._place, self._name = place, name
             remark = self._compare(int(timed[0]), name)
         self._newest_ns = int(timed[-1])
         return remark

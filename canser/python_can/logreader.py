@@ -52,7 +52,6 @@ class CaptureReader(BinaryIOMessageReader):
         """
         super().__init__(file)
         self._as_is = as_is
-        self._name = str(getattr(self.file, "name", "the file"))
         try:
             options = ReadOptions(
                 protocol=protocol or AUTO,
@@ -61,8 +60,8 @@ class CaptureReader(BinaryIOMessageReader):
                 as_is=as_is,
             )
             self._blocks = Blocks(cast(Source, self.file), options)
-            if self._blocks.found:
-                _LOG.warning("%s: %s", self._name, self._blocks.found)
+            for finding in self._blocks.findings:
+                _LOG.warning("%s", finding)
         except BaseException:
             if self.file is not file:
                 self.file.close()
