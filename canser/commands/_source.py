@@ -96,8 +96,8 @@ def selection_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that choose frames."""
     group = parser.add_argument_group(
         "frames",
-        "TIME counts from the first frame, such as 500ms, 90s, 1h, or is a date, such as\n"
-        "2026-11-26T08:00:00 (UTC, or with its offset, +01:00)",
+        "TIME counts from the first frame, such as 500ms, 90s, 1h; or it is a date,\n"
+        "such as 2026-11-26T08:00:00 (UTC, or with its offset, +01:00)",
     )
     group.add_argument("--start", metavar="TIME", type=moment, help="only frames from TIME on")
     group.add_argument("--end", metavar="TIME", type=moment, help="only frames before TIME")

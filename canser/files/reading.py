@@ -309,7 +309,8 @@ class Blocks(Uncopied, Iterator[FrameArray]):
 
     @property
     def findings(self) -> list[str]:
-        """Which protocols "auto" has found, with the names of the files."""
+        """Which protocols "auto" has found, with the names of the files; a pipe is waited for."""
+        self._begin()
         return [
             f"{source.name}: {reader.found}"
             for source, reader in zip(self._inputs, self._readers, strict=False)
