@@ -74,7 +74,7 @@ class Input:
 
     @property
     def total(self) -> int | None:
-        """The bytes from where the file stood to its end, None where nobody knows."""
+        """The bytes from where the file stood to its end, None where that is not known."""
         return None if self.size is None else max(self.size - self.start, 0)
 
     def at(self, offset: int, length: int) -> memoryview:
@@ -138,7 +138,7 @@ class Input:
         end = min(max(aligned + WINDOW, place + length), size)
         self._base, self._view = offset, memoryview(b"")
         if end > place:
-            # The map goes when nobody holds the view any more.
+            # The map goes with the last view of it.
             mapped = mmap.mmap(
                 self.file.fileno(), end - aligned, access=mmap.ACCESS_READ, offset=aligned
             )

@@ -38,7 +38,7 @@ class Progress:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
     def __call__(self, done: int, total: int | None) -> None:
-        """Show that `done` bytes are done, of `total`, or of nobody knows how many."""
+        """Show that `done` bytes are done, of `total`, None where that is not known."""
         if not self._on or time.monotonic() - self._begin < _PATIENCE_S:
             return
         if self._bar is None and self._shown < 0:

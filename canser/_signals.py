@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Stop:
-    """Whether somebody wants the program to end."""
+    """Whether a signal has asked the program to end."""
 
     def __init__(self) -> None:
         self.wanted = False

@@ -63,7 +63,7 @@ class Stream:
                 "canser_control[]", self._controls
             )
             self._batch.control_cap = _CONTROL_CAP
-        # Where the last call's frames went, held by nobody here.
+        # Where the last call's frames went; no reference holds the arrays.
         self._out: Callable[[], object] = _nothing
         self._offsets: Callable[[], object] = _nothing
         self._cap = self._offset_cap = 0
@@ -72,8 +72,8 @@ class Stream:
     def set_output(self, out: FrameArray, offsets: Offsets | None) -> None:
         """Check the arrays that frames and offsets go to.
 
-        They are mostly those of last time. Then that takes a tenth of the time: what may
-        have become of them since is asked, and no pointer is made anew.
+        Callers usually pass the same arrays again. Then only what can have changed (length,
+        writability) is checked, and the pointer is reused: a tenth of the time.
         """
         # A reference to an array that is gone gives None, which may be what is asked for.
         if (

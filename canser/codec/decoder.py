@@ -34,7 +34,7 @@ from canser.errors import CanserWarning
 
 __all__ = ["Control", "Decoder", "Encoder", "Stats", "decode", "encode"]
 
-# A decoder keeps this many control packets that nobody has taken: 2 MiB, an
+# A decoder keeps this many control packets that no caller has taken: 2 MiB, an
 # hour and more of pings ten times a second.
 _CONTROLS_KEPT = 1 << 16
 
@@ -198,7 +198,7 @@ class Decoder(Uncopied):
     def take_controls(self) -> list[Control]:
         """Return the control packets since the last call, oldest first: offset and bytes.
 
-        `Stats.controls` counts them all. Of those that nobody takes, the newest 65,536
+        `Stats.controls` counts them all. Of those that no caller takes, the newest 65,536
         are kept, and `controls_dropped` counts the others.
         """
         with self._lock:
@@ -287,7 +287,7 @@ class Decoder(Uncopied):
         """Decode all of `source` but its last bytes by several threads, into a sink.
 
         For this package's own use, and for a stream that holds nothing. Yields whenever the
-        sink may be emptied; the lock is not held then. RuntimeError if somebody else has
+        sink may be emptied; the lock is not held then. RuntimeError if another caller has
         fed or reset the decoder meanwhile: its stream would not be that of `source` any more.
         """
         stream, start, source_len = self._stream, self._stream.position, len(source)

@@ -19,5 +19,5 @@ COMMANDS: Final = {
     "send": "send frames",
     "simulate": "simulate an adapter on a pseudo terminal: no hardware needed",
     "ports": "list the serial ports that are plugged in",
-    "recover": "copy what is good of a torn or damaged recording, and say what is not",
+    "recover": "copy the intact part of a torn or damaged recording, and say what is left out",
 }

@@ -15,7 +15,7 @@ from canser.live.config import LEVELS, LineConfig, flat_config
 from canser.live.ports import Port
 from canser.live.stream import OnBytes
 
-__all__ = ["open_port", "port_arguments", "staying_arguments"]
+__all__ = ["duration_arguments", "open_port", "port_arguments"]
 
 _HEX: Final = "(?:0[xX])?([0-9A-Fa-f]{1,8})"
 _ADAPTER_FILTER: Final = re.compile(f"{_HEX}:{_HEX}")
@@ -93,7 +93,7 @@ def port_arguments() -> argparse.ArgumentParser:
     return port
 
 
-def staying_arguments() -> argparse.ArgumentParser:
+def duration_arguments() -> argparse.ArgumentParser:
     """Return the arguments of commands that stay at a port."""
     staying = Parser(add_help=False)
     group = staying.add_argument_group("duration and reconnect")

@@ -45,7 +45,7 @@ __all__ = [
 
 
 class ProtocolNeededError(CallError):
-    """Raw bytes are to be read, and nobody said in which protocol."""
+    """Raw bytes are to be read, and no protocol is given."""
 
 
 def source_arguments() -> argparse.ArgumentParser:

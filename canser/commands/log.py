@@ -25,7 +25,7 @@ With --json each line on standard output is an object with a `type` and a `time`
     restored, set_aside  the old file that --force replaces has its name back, as nothing was
              recorded; or stays as NAME.old, as it is not sure that anything was: path
     trigger  path: of the file that was open, or ""
-    gap      offset: in the stream; lost: bytes, -1 where nobody knows; reason: "overflow",
+    gap      offset: in the stream; lost: bytes, -1 where not known; reason: "overflow",
              "reconnect" or "watchdog"
     back     the device is back after a gap
     error    number: what the adapter reports
@@ -56,7 +56,7 @@ from canser._signals import Stop, stop_on_signals
 from canser.analysis import report
 from canser.commands._numbers import byte_count, duration, whole
 from canser.commands._parser import BAD_DATA, GOOD, CallError, Commands, DataError, add_command
-from canser.commands._port import open_port, port_arguments, staying_arguments
+from canser.commands._port import duration_arguments, open_port, port_arguments
 from canser.commands._screen import PATIENCE_S, Lines, StatusLine, warnings_as_lines
 from canser.errors import PortError, StreamClosedError
 from canser.live.meter import Meter
@@ -110,7 +110,7 @@ def add(commands: Commands) -> None:
         "  canser log -c socket://gateway:4000 -p serial --reconnect --json \\\n"
         "      run.pcapng | jq .frames_per_s",
         run=run,
-        parents=[port_arguments(), staying_arguments()],
+        parents=[port_arguments(), duration_arguments()],
     )
     parser.add_argument("target", metavar="OUT", help="a .pcapng file")
     parser.add_argument(

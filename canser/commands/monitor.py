@@ -7,7 +7,7 @@ import time
 
 from canser._signals import stop_on_signals
 from canser.commands._parser import GOOD, CallError, Commands, add_command
-from canser.commands._port import open_port, port_arguments, staying_arguments
+from canser.commands._port import duration_arguments, open_port, port_arguments
 from canser.commands._screen import warnings_as_lines
 from canser.monitoring.livetable import exact
 
@@ -27,7 +27,7 @@ def add(commands: Commands) -> None:
         "period: the median of the last 32 steps from one frame of an id to the next\n"
         "jitter: the standard deviation of those between 0.5 and 1.5 periods",
         run=run,
-        parents=[port_arguments(), staying_arguments()],
+        parents=[port_arguments(), duration_arguments()],
     )
     parser.add_argument(
         "--filter",

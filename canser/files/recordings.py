@@ -115,7 +115,7 @@ class RecordingReader(Reader):
         def room() -> tuple[FrameArray, Offsets]:
             nonlocal whole
             if len(whole) - count < BLOCK_FRAMES:
-                # The frames so far tell how many there will be; where nobody knows the size of
+                # The frames so far tell how many there will be; where the size is not known of
                 # the file, or the rest is denser than they were, this happens again.
                 done = recorded.decoder.position
                 expected = int(count * (source.total or 2 * done) / done * 1.02)

@@ -63,7 +63,7 @@ class _Own(NamedTuple):
 class _Piece(NamedTuple):
     data: bytes
     ns: int  # when its last byte had come
-    lost: int  # bytes that are missing before it, -1: nobody knows how many
+    lost: int  # bytes that are missing before it, -1: not known how many
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,7 +281,7 @@ class Recorder(Uncopied):
         assert self._window_ns is not None
         before, after = self._window_ns
         self.triggers += 1
-        # What is too old for this trigger is nobody's.
+        # No trigger needs what is too old for this one.
         self._sift(ns - before)
         if ns > self._until_ns:
             self.events.append(Event("trigger", self._file, ns))
@@ -307,7 +307,7 @@ class Recorder(Uncopied):
         segment = self._waiting.popleft()
         self._waiting_size -= _memory(segment)
         self.bytes_passed += segment.size
-        # What comes behind it may not look as if it came right behind what is in the file.
+        # Close the file: otherwise later bytes would look contiguous with earlier ones.
         self._close_file()
 
     def _record(self, segment: _Segment) -> None:
@@ -368,7 +368,7 @@ class Recorder(Uncopied):
                     self._numbered = True  # the file that has the name now stays
                 if not self._numbered:
                     raise
-                # Somebody else counts here, too: theirs stays, and the next number is ours.
+                # Another program counts here, too: its file stays, and the next number is taken.
         self._file, self._file_ns, self._file_bytes = str(path), ns, 0
         self.files += 1
         self.last_file = self._file

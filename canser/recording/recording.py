@@ -39,7 +39,7 @@ __all__ = [
     "starts_recording",
 ]
 
-# LINKTYPE_USER0: for private use, so nobody takes the bytes for network packets.
+# LINKTYPE_USER0: for private use, so no program takes the bytes for network packets.
 _LINK_TYPE: Final = 147
 
 # A chunk holds no more bytes, and is closed this long after its first byte came.
@@ -57,7 +57,7 @@ TIME_ERROR_NS: Final = 2_000_000
 
 _SYNC_NS: Final = 1_000_000_000
 
-# The drop count of a gap of which nobody knows the length.
+# The drop count of a gap of unknown length.
 _UNKNOWN: Final = (1 << 64) - 1
 
 # Of a file that is all damage these many remarks are enough.
@@ -102,7 +102,7 @@ class RecordingInfo:
 
     protocol: str
     baudrate: int
-    bitrate: int | None  # of the CAN bus; None if nobody knows
+    bitrate: int | None  # of the CAN bus; None if not known
     ts_unit: str  # of the device's timestamps
     device: str
 
@@ -117,7 +117,7 @@ class Piece(NamedTuple):
 
     data: memoryview
     arrival_ns: int  # epoch, of the last byte
-    lost: int  # bytes lost right before; -1: nobody knows how many
+    lost: int  # bytes lost right before; -1: not known how many
     gap: bool  # bytes are missing right before, or may be
 
 
@@ -435,7 +435,7 @@ def _header(info: RecordingInfo) -> bytes:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Write a new file's name through; its bytes alone would be nobody's."""
+    """Sync the directory, or a crash may leave the data without a name."""
     if os.name != "posix":
         return
     descriptor = os.open(folder, os.O_RDONLY)
@@ -499,7 +499,7 @@ class Recording(Iterator[Piece]):
 
     @property
     def bytes_total(self) -> int | None:
-        """The size of the file, None where nobody knows."""
+        """The size of the file, None where it is not known."""
         return self._input.total
 
 

@@ -137,7 +137,7 @@ class Terminal:
 
         assert self._watch is not None
         self._watch.stop()
-        # A host's claim outlives it on a pseudo terminal: nobody could open it again.
+        # A host's claim outlives it on a pseudo terminal: no host could open it again.
         fcntl.ioctl(self._host, termios.TIOCNXCL)
         os.close(self._host)
         hung = select.poll()
@@ -217,7 +217,7 @@ class Symlink:
         self._target = target
 
     def remove(self) -> None:
-        """Remove it, unless somebody has pointed it elsewhere."""
+        """Remove it, unless it points elsewhere by now."""
         if self._path is not None and self._target:
             with contextlib.suppress(FileNotFoundError, OSError):
                 if os.readlink(self._path) == self._target:  # noqa: PTH115

@@ -101,7 +101,7 @@ class Simulator(Uncopied):
     `protocol`: a name of `protocols()`. `traffic`: the frames it sends: an array of
     FRAME_DTYPE, or an iterable of such; with `loop` over and over, their times going on.
     Sending begins when a host has opened `url`: as soon as the host has flushed its input, or
-    0.1 s later. It pauses while nobody has it open and while the terminal is full; so nothing
+    0.1 s later. It pauses while no host has it open and while the terminal is full; so nothing
     is lost that is not lost on purpose. An iterable is taken ahead, by a thread; it pauses while
     no more has come.
 
