@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from canser.recording.recorder import Event as Event
     from canser.recording.recorder import Recorder as Recorder
     from canser.recording.recording import RecordingInfo as RecordingInfo
+    from canser.simulation.faults import Faults as Faults
     from canser.simulation.simulator import Simulator as Simulator
     from canser.simulation.simulator import SimulatorReport as SimulatorReport
     from canser.timing.clocks import ClockEstimate as ClockEstimate
@@ -153,6 +154,7 @@ _HOMES: Final = {
         "Recorder",
     ),
     "canser.recording.recording": ("RecordingInfo",),
+    "canser.simulation.faults": ("Faults",),
     "canser.simulation.simulator": (
         "Simulator",
         "SimulatorReport",

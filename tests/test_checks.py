@@ -17,6 +17,7 @@ from canser import adapters
 from canser._checks import flag, real, timeout, whole
 from canser.adapters import AdapterConfig
 from canser.live.config import LineConfig
+from canser.simulation.faults import Faults
 from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import vehicle
 
@@ -228,15 +229,10 @@ def test_a_port_waits_for_ever_and_not_at_all() -> None:
     table(
         {
             "baudrate": ["fast", 1.5, True, 0],
-            "noise": [*NOT_REAL, math.nan, -1, 2],
-            "loss": [*NOT_REAL, math.nan, -1, 2],
-            "stalls": [5, [5], [(1,)], [(-1, 2.0)], [(1, "x")], [(1.5, 2.0)], [(1, math.inf)]],
-            "unplug_after": ["x", 1.5, True, -1],
-            "seed": [*NOT_WHOLE, -1],
+            "faults": [5, None, {"noise": 1}],
             "pace": [5, True, "fast"],
             "loop": NOT_FLAGS,
             "echo": NOT_FLAGS,
-            "deaf": NOT_FLAGS,
             "link": [5, None, b"x"],
             "copy": [5, "x"],
             "ts_unit": [5, None, "h"],
@@ -246,3 +242,21 @@ def test_a_port_waits_for_ever_and_not_at_all() -> None:
 )
 def test_a_simulator(name: str, value: object) -> None:
     names(lambda **more: Simulator("seeed", **more), name, value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    table(
+        {
+            "noise": [*NOT_REAL, math.nan, -1, 2],
+            "loss": [*NOT_REAL, math.nan, -1, 2],
+            "stalls": [5, [5], [(1,)], [(-1, 2.0)], [(1, "x")], [(1.5, 2.0)], [(1, math.inf)]],
+            "unplug_after": ["x", 1.5, True, -1],
+            "seed": [*NOT_WHOLE, -1],
+            "deaf": NOT_FLAGS,
+        }
+    ),
+    ids=str,
+)
+def test_faults(name: str, value: object) -> None:
+    names(Faults, name, value)

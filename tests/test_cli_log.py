@@ -27,6 +27,7 @@ if sys.platform != "win32":
 
     from beside import fails, open_terminal, read_terminal, running
     from canser.commands._screen import PATIENCE_S
+    from canser.simulation.faults import Faults
     from canser.simulation.simulator import Simulator
     from device import Device, until
 
@@ -112,7 +113,12 @@ def test_a_simulated_adapter_to_the_byte(tmp_path: Path) -> None:
     with (
         (tmp_path / "sent.bin").open("wb") as copy,
         Simulator(
-            "seeed", vehicle(60), pace="max", noise=1e-4, link=str(tmp_path / "dev"), copy=copy
+            "seeed",
+            vehicle(60),
+            pace="max",
+            faults=Faults(noise=1e-4),
+            link=str(tmp_path / "dev"),
+            copy=copy,
         ) as simulator,
         running(tmp_path, *log("--bitrate", "500000", "--json", "run.pcapng")) as run,
     ):

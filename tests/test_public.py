@@ -15,6 +15,7 @@ NAMES = [
     "AdapterReport",
     "Blocks",
     "Converted",
+    "Faults",
     "FilePart",
     "convert",
     "write",

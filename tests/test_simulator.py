@@ -20,6 +20,7 @@ import pytest
 import canser
 from canser import adapters
 from canser._frames import FrameArray
+from canser.simulation.faults import Faults
 from canser.simulation.simulator import Simulator, SimulatorReport
 from canser.simulation.traffic import Damaged, damage, vehicle
 from device import descriptors
@@ -326,7 +327,10 @@ def test_frames_without_a_time_go_with_the_one_before_and_are_counted() -> None:
 
 
 def test_those_of_a_frame_that_was_cut_are_counted_too() -> None:
-    with Simulator("seeed", NEVER, pace="max", unplug_after=7) as device, host(device) as one:
+    with (
+        Simulator("seeed", NEVER, pace="max", faults=Faults(unplug_after=7)) as device,
+        host(device) as one,
+    ):
         one.read(100)
         assert device.wait_unplugged(PATIENCE)
         report = device.report()
@@ -347,7 +351,9 @@ def test_a_loop_goes_on_in_time() -> None:
 def test_faults_are_those_of_the_seed_and_counted(protocol: str, noise: float, loss: float) -> None:
     def run(seed: int) -> tuple[bytes, SimulatorReport]:
         with (
-            Simulator(protocol, FRAMES, pace="max", noise=noise, loss=loss, seed=seed) as device,
+            Simulator(
+                protocol, FRAMES, pace="max", faults=Faults(noise=noise, loss=loss, seed=seed)
+            ) as device,
             host(device) as one,
         ):
             return one.read_all(device), device.report()
@@ -379,7 +385,10 @@ def intact_frames(protocol: str, hit: Damaged) -> int:
 
 
 def test_intact_frames_are_found_by_the_decoder() -> None:
-    with Simulator("seeed", FRAMES, pace="max", noise=0.005) as device, host(device) as one:
+    with (
+        Simulator("seeed", FRAMES, pace="max", faults=Faults(noise=0.005)) as device,
+        host(device) as one,
+    ):
         found = canser.decode(one.read_all(device), "seeed")
         report = device.report()
     assert 0 < report.frames_intact < len(FRAMES)
@@ -389,7 +398,9 @@ def test_intact_frames_are_found_by_the_decoder() -> None:
 
 def test_a_stall_is_silence_at_its_byte() -> None:
     with (
-        Simulator("seeed", FRAMES, pace="max", stalls=[(2_000, 0.3), (1_000, 0.3)]) as device,
+        Simulator(
+            "seeed", FRAMES, pace="max", faults=Faults(stalls=[(2_000, 0.3), (1_000, 0.3)])
+        ) as device,
         host(device) as one,
     ):
         begin = time.monotonic()
@@ -426,7 +437,7 @@ def test_ping_and_status_come_straight_back_between_two_frames(protocol: str) ->
 
 def test_a_deaf_one_counts_and_says_nothing() -> None:
     ping = canser.protocol("cantalope").ping
-    with Simulator("cantalope", deaf=True) as device, host(device) as one:
+    with Simulator("cantalope", faults=Faults(deaf=True)) as device, host(device) as one:
         one.write(ping)
         until(lambda: device.report().controls == {"ping": 1})
         device.deaf = False
@@ -467,7 +478,10 @@ def test_the_filter_holds_from_the_next_frame_on() -> None:
 
 def test_a_filter_by_id() -> None:
     wanted = int(FRAMES["id"][0])
-    with Simulator("seeed", FRAMES, pace="max", stalls=[(0, 0.2)]) as device, host(device) as one:
+    with (
+        Simulator("seeed", FRAMES, pace="max", faults=Faults(stalls=[(0, 0.2)])) as device,
+        host(device) as one,
+    ):
         one.write(configuration(filter_id=wanted, filter_mask=0x7FF))
         found = canser.decode(one.read_all(device), "seeed")
     assert found["id"].tolist() == [wanted] * int((FRAMES["id"] == wanted).sum())
@@ -535,7 +549,7 @@ def test_stop_ends_behind_the_frame_that_is_going_out() -> None:
 def test_unplugged_when_all_is_read_at_a_byte() -> None:
     clean = canser.encode(FRAMES, "seeed")
     with (
-        Simulator("seeed", FRAMES, pace="max", unplug_after=5_001) as device,
+        Simulator("seeed", FRAMES, pace="max", faults=Faults(unplug_after=5_001)) as device,
         host(device) as one,
     ):
         data = one.read(len(clean))
@@ -583,7 +597,9 @@ def test_replugged_it_goes_on_with_the_next_frame(tmp_path: Path) -> None:
     clean = canser.encode(FRAMES, "seeed")
     ends = np.cumsum([len(canser.encode(FRAMES[i : i + 1], "seeed")) for i in range(len(FRAMES))])
     cut = int(ends[500]) - 3  # within a frame
-    with Simulator("seeed", FRAMES, pace="max", unplug_after=cut, link=str(link)) as device:
+    with Simulator(
+        "seeed", FRAMES, pace="max", faults=Faults(unplug_after=cut), link=str(link)
+    ) as device:
         assert device.url == str(link)
         assert link.is_symlink()
         with host(device) as one:
@@ -709,10 +725,6 @@ def test_what_it_fails_at_is_raised() -> None:
 WRONG: list[tuple[dict[str, object], str]] = [
     ({"pace": "slow"}, "unknown pace 'slow'; have: traffic, line, max"),
     ({"baudrate": 0}, "baudrate is 0"),
-    ({"noise": 1.5}, "noise is 1.5"),
-    ({"loss": float("nan")}, "loss is nan"),
-    ({"stalls": [(1, -1)]}, "stalls are"),
-    ({"unplug_after": -1}, "unplug_after is -1"),
     ({"ts_unit": "h"}, "unknown ts_unit 'h'"),
     ({"protocol": "foo"}, "unknown protocol 'foo'"),
 ]
@@ -722,6 +734,20 @@ WRONG: list[tuple[dict[str, object], str]] = [
 def test_wrong_arguments(wrong: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Simulator(**{"protocol": "seeed", **wrong})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"noise": 1.5}, "noise is 1.5"),
+        ({"loss": float("nan")}, "loss is nan"),
+        ({"stalls": [(1, -1)]}, "stalls are"),
+        ({"unplug_after": -1}, "unplug_after is -1"),
+    ],
+)
+def test_wrong_faults(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Faults(**wrong)
 
 
 def test_no_descriptor_and_no_thread_is_left() -> None:

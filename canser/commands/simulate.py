@@ -33,6 +33,7 @@ from canser.commands._parser import (
 from canser.commands._source import as_is_argument, bus_argument, read_options, say_remarks
 from canser.commands._traffic import TrafficFile
 from canser.errors import ReaderGoneError
+from canser.simulation.faults import Faults
 from canser.simulation.simulator import PACES, Simulator, SimulatorReport
 from canser.simulation.traffic import vehicle
 
@@ -161,6 +162,7 @@ def run(args: argparse.Namespace) -> int:
         if args.report is not None and args.report != "-":
             target = files.enter_context(whole_file(args.report, force=args.force))
         traffic, loop = _traffic(args)
+        faults = Faults(noise=args.noise, loss=args.loss, stalls=args.stalls, seed=args.seed)
         if args.baudrate is not None and args.pace in {"traffic", "max"}:
             raise CallError(f"--baudrate is of --pace line, not {args.pace}: leave one of them out")
         with (
@@ -173,10 +175,7 @@ def run(args: argparse.Namespace) -> int:
                 pace=args.pace,
                 baudrate=args.baudrate,
                 echo=args.echo,
-                noise=args.noise,
-                loss=args.loss,
-                stalls=args.stalls,
-                seed=args.seed,
+                faults=faults,
                 link=args.link,
                 copy=copy,
             ) as device,

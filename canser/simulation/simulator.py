@@ -3,20 +3,19 @@
 import collections
 import contextlib
 import itertools
-import math
 import os
 import select
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any, BinaryIO, Final, Self, cast
+from typing import BinaryIO, Final, Self
 
 import numpy as np
 
 from canser import adapters
-from canser._checks import flag, real, text, whole
+from canser._checks import flag, text, whole
 from canser._checks import timeout as check_timeout
 from canser._core.table import find_protocol
 from canser._frames import FRAME_DTYPE, FrameArray, concat, copy_records
@@ -28,6 +27,7 @@ from canser.codec.decoder import Decoder, encode
 from canser.errors import PortError
 from canser.simulation._outgoing import Outgoing
 from canser.simulation._terminal import Symlink, Terminal
+from canser.simulation.faults import Faults
 
 __all__ = ["PACES", "Simulator", "SimulatorReport"]
 
@@ -95,6 +95,9 @@ class SimulatorReport:
         object.__setattr__(self, "controls", ReadOnlyDict(self.controls))
 
 
+_NO_FAULTS: Final = Faults()
+
+
 class Simulator(Uncopied):
     """A serial CAN adapter that is not there: a pseudo terminal, and a thread that serves it.
 
@@ -112,14 +115,11 @@ class Simulator(Uncopied):
     given or the first frames have no time at all; `report` tells which.
 
     It behaves as an adapter does: sends ping and status request straight back (there are no
-    bus errors) between two frames, unless `deaf`; takes a configuration, sends only frames
+    bus errors) between two frames, unless it is `deaf`; takes a configuration, sends only frames
     that pass its filter, and in a mode of loopback, or with `echo`, sends the host's frames
     back. Frames always have the variable form.
 
-    Faults: `noise` and `loss`, shares of the bytes that are hit or lost as `traffic.damage`
-    does it, reproducible by `seed`; answers are spared. `stalls`: pairs of a number of
-    bytes sent and the seconds of silence then. `unplug_after`: bytes after which it unplugs
-    itself, when the host has read them.
+    `faults`: what goes wrong on purpose.
 
     `link`: a path where a symbolic link stands for the terminal, whose own name changes
     with each `replug`. `copy`: a binary file that gets the very bytes that were sent.
@@ -140,29 +140,25 @@ class Simulator(Uncopied):
         pace: str | None = None,
         baudrate: int | None = None,
         echo: bool = False,
-        deaf: bool = False,
-        noise: float = 0,
-        loss: float = 0,
-        stalls: Sequence[tuple[int, float]] = (),
-        unplug_after: int | None = None,
-        seed: int = 1,
+        faults: Faults = _NO_FAULTS,
         link: str = "",
         copy: BinaryIO | None = None,
     ) -> None:
         self._decoder = Decoder(protocol, ts_unit=ts_unit)
         self.protocol = self._decoder.protocol
         self.echo = flag(echo, "echo")
-        self.deaf = flag(deaf, "deaf")
+        if not isinstance(faults, Faults):
+            raise TypeError(f"faults is {faults!r}; it must be a canser.Faults")
+        self.deaf = faults.deaf
         self._pace = _pace_asked(pace, baudrate)
         self._baudrate = find_protocol(self.protocol).baudrate
         if baudrate is not None:
             self._baudrate = whole(baudrate, "baudrate", "115200", least=1)
-        _check_faults(noise, loss, stalls, unplug_after)
         if copy is not None and not hasattr(copy, "write"):
             raise TypeError(f"copy is {copy!r}; it must be a file open for writing bytes")
         self._ts_unit = ts_unit
-        self._stalls = collections.deque(sorted(stalls))
-        self._unplug_at = unplug_after
+        self._stalls = collections.deque(sorted(faults.stalls))
+        self._unplug_at = faults.unplug_after
         self._copy = copy
         self._symlink = Symlink(text(link, "link", "'/tmp/can'"))
         self._link_path = link
@@ -173,9 +169,9 @@ class Simulator(Uncopied):
             ts_unit=ts_unit,
             loop=flag(loop, "loop"),
             timed=None if self._pace is None else self._pace == "traffic",
-            noise=noise,
-            loss=loss,
-            seed=whole(seed, "seed", "1", least=0),
+            noise=faults.noise,
+            loss=faults.loss,
+            seed=faults.seed,
         )
         self._elapsed_ns = 0  # in which it could send
         self._stepped_ns = 0  # when the last step was
@@ -599,27 +595,3 @@ def _pace_asked(pace: str | None, baudrate: int | None) -> str | None:
     if pace is not None and pace not in PACES:
         raise ValueError(f"unknown pace {pace!r}; have: {', '.join(PACES)}")
     return "line" if pace is None and baudrate is not None else pace
-
-
-def _check_faults(
-    noise: float, loss: float, stalls: Sequence[tuple[int, float]], unplug_after: int | None
-) -> None:
-    """Raise TypeError or ValueError for faults that make no sense."""
-    for name, share in (("noise", noise), ("loss", loss)):
-        if not 0 <= real(share, name, "0.001") <= 1:
-            raise ValueError(f"{name} is {share}; it is a share of the bytes, from 0 to 1")
-    if not _are_stalls(stalls):
-        raise ValueError(f"stalls are {stalls!r}; give pairs of bytes and seconds, 0 or more")
-    if unplug_after is not None and whole(unplug_after, "unplug_after", "1000") < 0:
-        raise ValueError(f"unplug_after is {unplug_after}; it is a number of bytes")
-
-
-def _are_stalls(stalls: object) -> bool:
-    """Return whether these are pairs of a number of bytes and finite seconds, 0 or more."""
-    try:
-        return all(
-            whole(at, "at", "5000") >= 0 and 0 <= real(seconds, "seconds", "2.0") < math.inf
-            for at, seconds in cast(Any, stalls)
-        )
-    except (TypeError, ValueError):
-        return False
