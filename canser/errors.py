@@ -38,16 +38,19 @@ class NoProtocolError(ValueError):
 
     Attributes
     ----------
+    name : str
+        The file.
     looks : str
-        What the bytes look like.
+        What the bytes look like, with the name.
     choices : tuple of str
         The protocols to choose from; the one that fits alone if there is one, with "auto" if
         that would take it.
     """
 
-    def __init__(self, looks: str, choices: tuple[str, ...]) -> None:
+    def __init__(self, name: str, looks: str, choices: tuple[str, ...]) -> None:
+        looks = f"{name}: {looks}"
         super().__init__(f"{looks}; give protocol={' or '.join(map(repr, choices))}")
-        self.looks, self.choices = looks, choices
+        self.name, self.looks, self.choices = name, looks, choices
 
 
 class WrongProtocolError(ValueError):

@@ -512,6 +512,20 @@ def test_info_is_one_report_with_a_line_for_each_file(
     assert str(found).splitlines() == lines
 
 
+def test_info_finds_the_protocol_of_the_file_that_needs_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    saved(tmp_path / "a.npy", FRAMES)
+    saved(tmp_path / "b.bin", FRAMES, "serial")
+    (tmp_path / "noise.bin").write_bytes(np.random.default_rng(1).bytes(5000))
+    found = canser.info(["a.npy", "b.bin"])
+    assert (found.frames, found.protocol) == (2 * len(FRAMES), "serial")
+    assert found.fits[0].protocol == "serial"
+    assert main(["info", "a.npy", "noise.bin"]) == 1
+    assert "no protocol fits noise.bin" in capfd.readouterr().err
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -542,11 +556,14 @@ def test_dump_takes_several_files(tmp_path: Path, capfd: pytest.CaptureFixture[s
     assert "--sort" in err
 
 
-def test_a_recording_is_converted_to_its_bytes_and_back(tmp_path: Path) -> None:
+def test_a_recording_is_converted_to_its_bytes_and_back(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     raw = canser.encode(FRAMES, "seeed")
     source = recorded(tmp_path / "run.pcapng", raw, "seeed")
     out, again = str(tmp_path / "run.bin"), str(tmp_path / "again.pcapng")
     assert main(["convert", str(source), out]) == 0
+    assert f"{len(raw):,} bytes of the line" in capfd.readouterr().err
     assert Path(out).read_bytes() == raw
     assert main(["convert", out, again, "-p", "seeed"]) == 0
     assert main(["convert", out, str(tmp_path / "x.pcapng")]) == 2

@@ -1,5 +1,6 @@
 """The tests themselves, started where signals are ignored: their children have the defaults."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -33,6 +34,7 @@ def test_children_of_tests_start_with_default_signals() -> None:
     done = subprocess.run(
         [sys.executable, "-c", STARTED, CHILD, *ignored],
         cwd=Path(__file__).parent,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parent / "helpers")},
         capture_output=True,
         text=True,
         check=True,

@@ -253,33 +253,39 @@ def info(
          123          3 100.00%     150.00       10.00  0
     """
     check_protocol(protocol, ts_unit)
-
-    def opened(protocol: str | None) -> Blocks:
-        options = ReadOptions(protocol=protocol, ts_unit=ts_unit, bus=bus, as_is=as_is)
-        return Blocks(source, options, format=format, progress=progress, sort=sort)
-
+    options = ReadOptions(protocol=protocol, ts_unit=ts_unit, bus=bus, as_is=as_is)
     fits: list[Fit] = []
+
+    def told() -> FileInfo:
+        with Blocks(source, options, format=format, progress=progress, sort=sort) as file:
+            return _tell(file, fits)
+
     try:
-        file = opened(protocol)
-    except NoProtocolError:
-        fits = rank_protocols(listed(source)[0])
+        return told()
+    except NoProtocolError as error:
+        named = [each for each in listed(source) if error.name == str(each)]
+        fits = rank_protocols(named[0]) if named else []
         if not fits or not fits[0].fits:
             raise
-        file = opened(fits[0].protocol)
-    with file:
-        found = summarise(file)
-        return replace(
-            found,
-            name=", ".join(part.name for part in file.files),
-            files=tuple(file.files),
-            protocol=file.protocol,
-            stats=file.stats,
-            controls=tuple(file.take_controls()),
-            recording=file.recording,
-            doubt=file.doubt,
-            remarks=(*file.findings, *file.remarks),
-            fits=tuple(fits),
-        )
+    # Of several files those that hold frames need no protocol.
+    options = replace(options, protocol=fits[0].protocol, raw_only=True)
+    return told()
+
+
+def _tell(file: Blocks, fits: list[Fit]) -> FileInfo:
+    """Return what is in open files; `fits`: how the protocol was found, if it was."""
+    return replace(
+        summarise(file),
+        name=", ".join(part.name for part in file.files),
+        files=tuple(file.files),
+        protocol=file.protocol,
+        stats=file.stats,
+        controls=tuple(file.take_controls()),
+        recording=file.recording,
+        doubt=file.doubt,
+        remarks=(*file.findings, *file.remarks),
+        fits=tuple(fits),
+    )
 
 
 def rank_protocols(source: Source) -> list[Fit]:

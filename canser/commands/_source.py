@@ -28,7 +28,6 @@ from canser.files.reading import Blocks
 from canser.files.selection import Selection
 
 __all__ = [
-    "ProtocolNeededError",
     "as_is_argument",
     "bus_argument",
     "check_found",
@@ -42,10 +41,6 @@ __all__ = [
     "selection_arguments",
     "source_arguments",
 ]
-
-
-class ProtocolNeededError(CallError):
-    """Raw bytes are to be read, and no protocol is given."""
 
 
 def source_arguments() -> argparse.ArgumentParser:
@@ -179,14 +174,14 @@ def open_source(args: argparse.Namespace, progress: Progress | None = None) -> B
 
 
 @contextlib.contextmanager
-def options_named() -> Iterator[None]:
-    """Let errors of opening a file name the options that help."""
+def options_named(*, protocol: bool = True) -> Iterator[None]:
+    """Let errors of opening a file name the options that help; `protocol`: the protocol's, too."""
     try:
         yield
     except NoProtocolError as error:
-        raise ProtocolNeededError(
-            f"{error.looks}; give -p {' or -p '.join(error.choices)}"
-        ) from None
+        if not protocol:
+            raise
+        raise CallError(f"{error.looks}; give -p {' or -p '.join(error.choices)}") from None
     except WrongProtocolError as error:
         raise CallError(f"{error.what}; leave -p out, or accept it by --as-is") from None
     except ForeignFormatError as error:

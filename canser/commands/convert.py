@@ -37,7 +37,7 @@ def add(commands: Commands) -> None:
         "  canser convert run.npy run.csv\n"
         "  canser convert run.pcapng run.bin            the bytes of the line\n"
         "  canser convert monday.log tuesday.log both.npy\n"
-        "  canser convert run.bin run.log -p serial --epoch 2026-11-26T08:00:00 --filter 123",
+        "  canser convert run.bin run.log -p serial --epoch 2026-11-26T08:00",
         run=run,
         parents=[source_arguments()],
     )
@@ -117,14 +117,18 @@ def run(args: argparse.Namespace) -> int:
             check_found(source, as_is=args.as_is)
         stats = source.stats
     inputs = ", ".join(args.sources)
-    say(f"{inputs} -> {args.target}: {done.frames:,} frames")
+    if done.copied:
+        say(f"{inputs} -> {args.target}: {done.bytes_out:,} bytes of the line")
+        stats = None
+    else:
+        say(f"{inputs} -> {args.target}: {done.frames:,} frames")
     if stats is not None:
         say(report.conservation(stats))
         if stats.bytes_skipped:
             say(f"skipped: {report.reject_text(stats)}; resyncs: {stats.resyncs:,}")
         if stats.controls:
             say(f"control packets, not in the output as they are no frames: {stats.controls:,}")
-    if to in BYTES:
+    if to in BYTES and not done.copied:
         say(f"{done.frames:,} frames = {done.bytes_out:,} bytes out")
     for remark in done.remarks:
         say(remark)

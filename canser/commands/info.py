@@ -11,12 +11,12 @@ from canser.analysis.summary import info, rank_protocols
 from canser.commands._numbers import whole
 from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, say, show
 from canser.commands._source import (
-    ProtocolNeededError,
     opened,
     options_named,
     refuse_doubtful,
     source_arguments,
 )
+from canser.errors import NoProtocolError
 
 __all__ = ["add"]
 
@@ -59,7 +59,7 @@ def add(commands: Commands) -> None:
 
 def run(args: argparse.Namespace) -> int:
     try:
-        with Progress(f"reading {args.sources[0]}") as progress, options_named():
+        with Progress(f"reading {args.sources[0]}") as progress, options_named(protocol=False):
             found = info(
                 opened(args.sources),
                 args.protocol,
@@ -70,8 +70,8 @@ def run(args: argparse.Namespace) -> int:
                 as_is=args.as_is,
                 progress=progress,
             )
-    except ProtocolNeededError:
-        raise _no_protocol(args.sources[0], ranked=not args.json) from None
+    except NoProtocolError as error:
+        raise _no_protocol(error.name, ranked=not args.json) from None
     show([json.dumps(found.as_dict(args.top))] if args.json else found.lines(args.top))
     for remark in found.remarks:
         say(remark)
@@ -82,10 +82,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _no_protocol(path: str, *, ranked: bool) -> CallError | DataError:
     """Return the error that no protocol fits a file; `ranked`: print how well each does."""
-    if path == "-" or not os.path.isfile(path):  # noqa: PTH113
-        name = "standard input" if path == "-" else path
+    if not os.path.isfile(path):  # noqa: PTH113
         return CallError(
-            f"{name} can be read only once: name its protocol with -p "
+            f"{path} can be read only once: name its protocol with -p "
             f"({', '.join(protocols())}), or put it into a file first"
         )
     size = os.path.getsize(path)  # noqa: PTH202

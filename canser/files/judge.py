@@ -63,11 +63,11 @@ def choose_protocol(protocol: str | None, source: Input) -> tuple[str, str]:
 def _no_protocol(name: str, fit: Fit | None) -> NoProtocolError:
     """Return the error for bytes of which this is the best fit, None where there are none."""
     if fit is None:
-        return NoProtocolError(f"{name}: there are no bytes to tell a protocol by", protocols())
+        return NoProtocolError(name, "there are no bytes to tell a protocol by", protocols())
     choices = protocols()
     if fit.fits:
         choices = (fit.protocol, AUTO) if _is_plain(fit) else (fit.protocol,)
-    return NoProtocolError(f"{name}: these bytes look like {describe_fit(fit)}", choices)
+    return NoProtocolError(name, f"these bytes look like {describe_fit(fit)}", choices)
 
 
 def describe_doubt(name: str, protocol: str, bytes_in: int, skipped: int, sample: BytesLike) -> str:

@@ -44,11 +44,14 @@ class Converted:
         Bytes of a line that are in the file; 0 for a format that holds frames.
     remarks : list of str
         What the file could not hold.
+    copied : bool
+        Whether the bytes of a recording were copied, and no frame was decoded.
     """
 
     frames: int = 0
     bytes_out: int = 0
     remarks: list[str] = field(default_factory=list)
+    copied: bool = False
 
 
 def choose_target(path: str, given: str | None) -> str:
@@ -287,6 +290,7 @@ def _copy_bytes(blocks: Blocks, file: BinaryIO, options: WriteOptions) -> Conver
     done = Converted()
     reader = blocks.reader
     if isinstance(reader, RecordingReader):
+        done.copied = True
         for data in reader.line_bytes():
             file.write(data)
             done.bytes_out += len(data)
