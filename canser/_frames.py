@@ -17,10 +17,10 @@ __all__ = [
     "check_frames",
     "concat",
     "copy_records",
-    "flaw",
     "match",
     "put_records",
     "put_records_at",
+    "reason_invalid",
     "refuse_mask",
 ]
 
@@ -150,7 +150,7 @@ def _parse_filter(text: str) -> tuple[str, np.uint32, np.uint32]:
     return found["kind"], np.uint32(wanted), np.uint32(mask)
 
 
-def flaw(arbitration_id: int, ext: bool, dlc: int) -> str | None:
+def reason_invalid(arbitration_id: int, ext: bool, dlc: int) -> str | None:
     """Return what keeps these from being a frame of classic CAN, None for nothing."""
     limit = _EXTENDED_MAX if ext else _STANDARD_MAX
     if not 0 <= arbitration_id <= limit:

@@ -8,7 +8,7 @@ import numpy as np
 
 from canser._checks import real, whole
 from canser._core.buffers import BytesLike, as_bytes
-from canser._frames import NO_TIME, FrameArray, check_frames, concat, copy_records, flaw
+from canser._frames import NO_TIME, FrameArray, check_frames, concat, copy_records, reason_invalid
 from canser._notation import parse_frame
 from canser._rows import Row, check_row, rows_to_frames
 
@@ -113,7 +113,7 @@ def message_to_row(message: MessageLike, ts: int) -> Row:
     arbitration_id = whole(message.arbitration_id, "the message's arbitration_id", "0x123")
     if getattr(message, "is_fd", False):
         raise ValueError("the message is one of CAN FD; serial adapters know classic CAN only")
-    wrong = flaw(arbitration_id, message.is_extended_id, dlc)
+    wrong = reason_invalid(arbitration_id, message.is_extended_id, dlc)
     if wrong is not None:
         raise ValueError(wrong)
     if len(data) != (0 if rtr else dlc):

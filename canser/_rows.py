@@ -7,7 +7,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from canser._frames import FRAME_DTYPE, FrameArray, flaw
+from canser._frames import FRAME_DTYPE, FrameArray, reason_invalid
 
 __all__ = ["Row", "check_row", "rows_to_frames"]
 
@@ -21,7 +21,7 @@ assert _RECORD.size == FRAME_DTYPE.itemsize
 def check_row(row: Row) -> Row:
     """Return a row if it is a CAN frame, or raise ValueError."""
     arbitration_id, ext, rtr, dlc, _, data, _ = row
-    found = flaw(arbitration_id, ext, dlc)
+    found = reason_invalid(arbitration_id, ext, dlc)
     if found is not None:
         raise ValueError(found)
     if rtr and data:

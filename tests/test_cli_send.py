@@ -176,6 +176,38 @@ def test_play_over_and_over_until_a_signal(tmp_path: Path, device: "Device") -> 
     assert "rounds" in run.err[0]
 
 
+def test_play_several_files_as_one_stream(tmp_path: Path, device: "Device") -> None:
+    for name, frame, ts in (("a.log", "123#01", 0), ("b.npy", "124#02", 5_000_000)):
+        frames = canser.frames(frame)
+        frames["ts"] = ts
+        canser.write(frames, tmp_path / name)
+    wanted = canser.encode(canser.frames(["123#01", "124#02"]), "seeed")
+    with running(tmp_path, *call("play", "a.log", "b.npy")) as run:
+        assert device.read(len(wanted)) == wanted
+        assert run.end() == GOOD
+    assert "2 frames sent" in run.err[0]
+    with running(tmp_path, *call("play", "b.npy", "a.log", "--sort")) as run:
+        assert device.read(len(wanted)) == wanted
+        assert run.end() == GOOD
+
+
+@pytest.mark.usefixtures("device")
+def test_each_of_several_files_is_judged_before_the_port_is_opened(tmp_path: Path) -> None:
+    canser.write(canser.frames("123#01"), tmp_path / "a.npy")
+    (tmp_path / "b.bin").write_bytes(canser.encode(vehicle(1), "serial"))
+    with running(tmp_path, *call("play", "a.npy", "b.bin")) as run:
+        assert run.end() == BAD_DATA
+    assert "b.bin: these bytes look like serial" in run.err[0]
+
+
+def test_play_one_bus_of_a_log(tmp_path: Path, device: "Device") -> None:
+    (tmp_path / "run.log").write_text("(0.0) can0 123#01\n(0.0) can1 124#02\n")
+    wanted = canser.encode(canser.frames("124#02"), "seeed")
+    with running(tmp_path, *call("play", "run.log", "--bus", "can1")) as run:
+        assert device.read(len(wanted)) == wanted
+        assert run.end() == GOOD
+
+
 def test_play_with_a_gap(tmp_path: Path, device: "Device") -> None:
     frames = canser.frames(["123#01"] * 5)
     frames["ts"] = 0

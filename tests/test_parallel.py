@@ -27,7 +27,7 @@ from hypothesis import strategies as st
 import canser
 import reference
 from canser._core.buffers import Offsets, input_bytes, output_room
-from canser._core.stream import Chunk, Stream
+from canser._core.stream import ParallelChunk, Stream
 from canser._core.table import find_protocol
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser._input import Source
@@ -195,7 +195,7 @@ def worst_case(worst: Worst) -> Iterator[Counter[str]]:
         time.sleep(chance.choice((0, 0, 0, 1e-4, 3e-4)))
 
     def short_sighted(
-        chunk: Chunk, data: Any, data_len: int, first: int, stop: int, offset: int
+        chunk: ParallelChunk, data: Any, data_len: int, first: int, stop: int, offset: int
     ) -> None:
         nap()
         unseen = max(first - worst.run_up, 0)
@@ -204,7 +204,7 @@ def worst_case(worst: Worst) -> Iterator[Counter[str]]:
             chunk, data + unseen, data_len - unseen, first - unseen, stop - unseen, offset + unseen
         )
 
-    def join(stream: Stream, chunk: Chunk) -> bool:
+    def join(stream: Stream, chunk: ParallelChunk) -> bool:
         joined = real_join(stream, chunk)
         joins["joined" if joined else "apart"] += 1
         joins["frames"] += chunk.count if joined else 0
@@ -217,7 +217,7 @@ def worst_case(worst: Worst) -> Iterator[Counter[str]]:
 
         return wrapper
 
-    real_join, real_decode = Stream.join, Chunk.decode
+    real_join, real_decode = Stream.join, ParallelChunk.decode
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(parallel, "STRETCH", worst.stretch)
         patch.setattr(codec, "STRETCH", worst.stretch)
@@ -228,8 +228,8 @@ def worst_case(worst: Worst) -> Iterator[Counter[str]]:
         patch.setattr(sinks, "SMALL", worst.small)
         patch.setattr(Stream, "join", join)
         patch.setattr(Stream, "advance", napping(Stream.advance))
-        patch.setattr(Chunk, "decode", short_sighted)
-        patch.setattr(Chunk, "deliver", napping(Chunk.deliver))
+        patch.setattr(ParallelChunk, "decode", short_sighted)
+        patch.setattr(ParallelChunk, "deliver", napping(ParallelChunk.deliver))
         yield joins
 
 
@@ -395,7 +395,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     joins: Counter[str] = Counter()
     real_join = Stream.join
 
-    def join(stream: Stream, chunk: Chunk) -> bool:
+    def join(stream: Stream, chunk: ParallelChunk) -> bool:
         joined = real_join(stream, chunk)
         joins["joined" if joined else "apart"] += 1
         return joined
@@ -442,7 +442,7 @@ def test_helpers_are_as_many_as_asked_for(
     short: Counter[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: set[int] = set()
-    real_decode = Chunk.decode
+    real_decode = ParallelChunk.decode
     meet = threading.Barrier(3, timeout=30)
 
     def decode(*arguments: Any) -> None:
@@ -451,7 +451,7 @@ def test_helpers_are_as_many_as_asked_for(
             meet.wait()
         real_decode(*arguments)
 
-    monkeypatch.setattr(Chunk, "decode", decode)
+    monkeypatch.setattr(ParallelChunk, "decode", decode)
     stream = capture("serial")
     want = canser.decode(stream, "serial")
     assert np.array_equal(canser.decode(stream, "serial", threads=4), want)
@@ -474,11 +474,11 @@ def test_no_helper_takes_what_the_stream_has_passed(monkeypatch: pytest.MonkeyPa
     target, cap, at = output_room(out, 0, None)
     stream.aim_at(target, cap, at)
     ahead = Ahead(stream, data, len(raw), lambda: chunk, 2)
-    chunk = Chunk(protocol, 1, length, offsets=False)
+    chunk = ParallelChunk(protocol, 1, length, offsets=False)
     joined = 0
     claim = None
     for stretch in ahead:
-        if isinstance(stretch, Chunk):
+        if isinstance(stretch, ParallelChunk):
             joined += 1
             claim = None
         else:
@@ -747,7 +747,7 @@ def test_what_a_helper_raises_is_raised_to_the_caller(
         "blocks": run_blocks,
         "blocks with out": lambda: run_blocks(np.empty(99, FRAME_DTYPE)),
     }
-    monkeypatch.setattr(Chunk, where, nth_call_fails(nth, getattr(Chunk, where)))
+    monkeypatch.setattr(ParallelChunk, where, nth_call_fails(nth, getattr(ParallelChunk, where)))
     raised = finish(runs[how])
     used = {"__init__", "decode", "deliver"}
     if how.startswith("blocks"):
@@ -773,14 +773,16 @@ def test_a_helper_that_fails_still_delivers_what_others_wait_for(
     monkeypatch.setattr(sinks, "AT_ONCE", 0)
     monkeypatch.setattr(sinks, "SMALL", 1)
     passed = [threading.Event() for _ in range(5)]
-    real_room, real_decode = sinks.GrowingArray.room, Chunk.decode
+    real_room, real_decode = sinks.GrowingArray.room, ParallelChunk.decode
     decoded: list[int] = []
 
     def room(sink: Any) -> tuple[Any, int, Any]:
         passed[min(sink._stream.position // length, 4)].set()
         return real_room(sink)
 
-    def decode(chunk: Chunk, data: Any, size: int, first: int, stop: int, offset: int) -> None:
+    def decode(
+        chunk: ParallelChunk, data: Any, size: int, first: int, stop: int, offset: int
+    ) -> None:
         decoded.append((first + offset) // length)
         if len(decoded) == 2:
             assert passed[3].wait(30)
@@ -789,7 +791,7 @@ def test_a_helper_that_fails_still_delivers_what_others_wait_for(
         assert passed[1].wait(30)
 
     monkeypatch.setattr(sinks.GrowingArray, "room", room)
-    monkeypatch.setattr(Chunk, "decode", decode)
+    monkeypatch.setattr(ParallelChunk, "decode", decode)
     raised = finish(lambda: canser.decode(stream, "serial", threads=2))
     assert decoded == [2, 4]
     assert isinstance(raised, MemoryError)
@@ -894,7 +896,7 @@ def test_an_interrupt_in_the_caller(
 
     if where == "waiting":
         # The caller waits for a chunk that is not decoded yet.
-        real_decode = Chunk.decode
+        real_decode = ParallelChunk.decode
 
         def decode(*arguments: Any) -> None:
             nonlocal calls
@@ -905,7 +907,7 @@ def test_an_interrupt_in_the_caller(
                 time.sleep(0.2)
             real_decode(*arguments)
 
-        monkeypatch.setattr(Chunk, "decode", decode)
+        monkeypatch.setattr(ParallelChunk, "decode", decode)
     elif where != "progress":
         monkeypatch.setattr(Stream, where, interrupted(getattr(Stream, where)))
     progress = interrupted(None) if where == "progress" else None
@@ -930,7 +932,7 @@ def test_a_run_that_is_collected_by_a_helper(
     path = tmp_path / "run.bin"
     path.write_bytes(capture("serial"))
     dropped = threading.Event()
-    real_decode = Chunk.decode
+    real_decode = ParallelChunk.decode
 
     def decode(*arguments: Any) -> None:
         assert dropped.wait(30)
@@ -938,7 +940,7 @@ def test_a_run_that_is_collected_by_a_helper(
         real_decode(*arguments)
 
     monkeypatch.setattr(raw_format, "BLOCK_FRAMES", 10)
-    monkeypatch.setattr(Chunk, "decode", decode)
+    monkeypatch.setattr(ParallelChunk, "decode", decode)
     with path.open("rb") as file:
         blocks = canser.blocks(file, "serial", threads=3)
         next(blocks)

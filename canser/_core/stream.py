@@ -126,7 +126,7 @@ class Stream:
             raise_status(status)
         return int(self._batch.frame_count)
 
-    def join(self, chunk: "Chunk") -> bool:
+    def join(self, chunk: "ParallelChunk") -> bool:
         """Go on over a chunk, if it starts where the stream stands; else return False."""
         status = lib.canser_decoder_join(self._state, chunk.state, chunk.frames_at)
         if status == lib.CANSER_APART:
@@ -171,7 +171,7 @@ class Stream:
         return values
 
 
-class Chunk:
+class ParallelChunk:
     """A stretch of a stream, decoded by a guess into room of its own.
 
     `frames` has room for `cap` frames, `offsets` for as many if they are asked for.

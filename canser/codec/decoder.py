@@ -22,7 +22,7 @@ from canser._core.buffers import (
     output_room,
 )
 from canser._core.packets import encode_into
-from canser._core.stream import Chunk, Control, Stream, unpack_controls
+from canser._core.stream import Control, ParallelChunk, Stream, unpack_controls
 from canser._core.table import find_protocol
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser._guards import ReadOnlyDict, Uncopied
@@ -223,7 +223,7 @@ class Decoder(Uncopied):
             count += more_count
         return used, count
 
-    def _keep_controls(self, chunk: Chunk | None = None) -> bool:
+    def _keep_controls(self, chunk: ParallelChunk | None = None) -> bool:
         """Keep what the last call, or a chunk, has found; True if there is anything."""
         rows = (chunk or self._stream).controls()
         if rows is None:
@@ -240,10 +240,10 @@ class Decoder(Uncopied):
             self._controls_dropped += dropped
         return True
 
-    def make_chunk(self, offsets: bool) -> Chunk:
+    def make_chunk(self, offsets: bool) -> ParallelChunk:
         """Return room for any stretch that a helper decodes; for this package's own use."""
         most = STRETCH // self._protocol.frame_min + 1
-        return Chunk(self._protocol, tick_ns(self._ts_unit), most, offsets=offsets)
+        return ParallelChunk(self._protocol, tick_ns(self._ts_unit), most, offsets=offsets)
 
     def _collect(self, source: Pointer, *, ends: bool, threads: int = 1) -> FrameArray:
         """Decode all of `source` into a new array, of just the size; the lock is held."""
@@ -305,7 +305,7 @@ class Decoder(Uncopied):
                         item = next(stretches, None)
                         if item is None:
                             return
-                        if isinstance(item, Chunk):
+                        if isinstance(item, ParallelChunk):
                             self._keep_controls(item)
                             ahead.deliver(sink.place(item))
                         else:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from typing import Self
 
 from canser._core.buffers import Pointer
-from canser._core.stream import BEHIND, Chunk, Stream
+from canser._core.stream import BEHIND, ParallelChunk, Stream
 
 __all__ = ["STRETCH", "Ahead", "count_cores", "limit_threads"]
 
@@ -56,7 +56,7 @@ def limit_threads(threads: int) -> int:
 class _Claim:
     """A stretch that a helper has taken, and what became of it."""
 
-    def __init__(self, first: int, stop: int, chunk: Chunk) -> None:
+    def __init__(self, first: int, stop: int, chunk: ParallelChunk) -> None:
         self.first, self.stop, self.chunk = first, stop, chunk
         self.decoded = False
         self.decided = False
@@ -82,7 +82,7 @@ class Ahead:
         stream: Stream,
         data: Pointer,
         data_len: int,
-        make_chunk: Callable[[], Chunk],
+        make_chunk: Callable[[], ParallelChunk],
         threads: int,
     ) -> None:
         self._stream, self._make_chunk = stream, make_chunk
@@ -138,7 +138,7 @@ class Ahead:
             if helper.is_alive() and helper is not threading.current_thread():
                 helper.join()
 
-    def __iter__(self) -> Iterator[int | Chunk]:
+    def __iter__(self) -> Iterator[int | ParallelChunk]:
         while (position := self._stream.position) < self._end and self._failure is None:
             with self._changed:
                 claim = self._claims[0] if self._claims else None
@@ -172,7 +172,7 @@ class Ahead:
             claim.deliver, claim.decided = deliver, True
             self._changed.notify_all()
 
-    def _claim(self, chunk: Chunk, *, wait: bool) -> _Claim | None:
+    def _claim(self, chunk: ParallelChunk, *, wait: bool) -> _Claim | None:
         """Take a stretch so far ahead that the caller comes there when it is decoded."""
         with self._changed:
             while not self._closed:

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from canser._core.buffers import Offsets, Pointer, output_room
-from canser._core.stream import Chunk, Stream
+from canser._core.stream import ParallelChunk, Stream
 from canser._frames import FRAME_DTYPE, FrameArray, put_records
 
 __all__ = ["SMALL", "FixedArray", "GrowingArray", "MakeChunk", "Sink"]
@@ -21,13 +21,13 @@ SMALL = (1 << 20) // FRAME_DTYPE.itemsize
 
 
 # Makes room for a stretch that a helper decodes, with or without offsets.
-MakeChunk = Callable[[bool], Chunk]
+MakeChunk = Callable[[bool], ParallelChunk]
 
 
 class Sink(Protocol):
     """Where frames go, in their order."""
 
-    def chunk(self) -> Chunk:
+    def chunk(self) -> ParallelChunk:
         """Return room for a chunk that a helper decodes."""
 
     def room(self) -> tuple[Pointer, int, Pointer]:
@@ -36,7 +36,7 @@ class Sink(Protocol):
     def wrote(self, count: int) -> None:
         """Take notice of frames that were written there."""
 
-    def place(self, chunk: Chunk) -> Callable[[], None]:
+    def place(self, chunk: ParallelChunk) -> Callable[[], None]:
         """Make room for a chunk's frames; return what brings them there."""
 
 
@@ -48,7 +48,7 @@ class _Array:
         self._make_chunk = make_chunk
         self._out, self._offsets = out, offsets
 
-    def chunk(self) -> Chunk:
+    def chunk(self) -> ParallelChunk:
         return self._make_chunk(self._offsets is not None)
 
     def room(self) -> tuple[Pointer, int, Pointer]:
@@ -71,7 +71,7 @@ class FixedArray(_Array):
             self._spare = np.empty(SMALL, FRAME_DTYPE)
         return output_room(self._spare, 0, None)
 
-    def place(self, chunk: Chunk) -> Callable[[], None]:
+    def place(self, chunk: ParallelChunk) -> Callable[[], None]:
         """Return what copies as many of the frames as there is room for."""
         begin = self.count
         fits = max(min(chunk.count, len(self._out) - begin), 0)
@@ -107,7 +107,7 @@ class GrowingArray(_Array):
             self._grow(1)
         return super().room()
 
-    def place(self, chunk: Chunk) -> Callable[[], None]:
+    def place(self, chunk: ParallelChunk) -> Callable[[], None]:
         """Return what copies the frames, and keeps the array where it is until then."""
         if len(self._out) - self.count < chunk.count:
             self._grow(chunk.count)

@@ -19,8 +19,8 @@ __all__ = [
     "Parser",
     "add_command",
     "protocol_name",
-    "say",
     "show",
+    "write_line",
 ]
 
 # Exit codes.
@@ -81,7 +81,7 @@ def show(lines: Iterable[str]) -> None:
         out.write("".join(f"{line}\n" for line in lines).encode())
 
 
-def say(text: str) -> None:
+def write_line(text: str) -> None:
     """Print a line on standard error: standard output is for the data."""
     print(text, file=sys.stderr)
 

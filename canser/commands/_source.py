@@ -14,7 +14,7 @@ from canser._progress import Progress
 from canser._protocols import TS_UNITS, protocols
 from canser.codec.decoder import Stats
 from canser.commands._numbers import date, moment, whole
-from canser.commands._parser import CallError, DataError, Parser, protocol_name, say
+from canser.commands._parser import CallError, DataError, Parser, protocol_name, write_line
 from canser.errors import (
     ForeignFormatError,
     NoProtocolError,
@@ -36,10 +36,10 @@ __all__ = [
     "options_named",
     "read_options",
     "refuse_doubtful",
-    "say_remarks",
     "selection",
     "selection_arguments",
     "source_arguments",
+    "write_remarks",
 ]
 
 
@@ -206,7 +206,7 @@ def refuse_doubtful(name: str, protocol: str, stats: Stats, doubt: str) -> None:
         )
 
 
-def say_remarks(source: Blocks) -> None:
+def write_remarks(source: Blocks) -> None:
     """Print on standard error what is to be known of files."""
     for remark in [*source.findings, *source.remarks]:
-        say(remark)
+        write_line(remark)

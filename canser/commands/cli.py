@@ -19,8 +19,8 @@ from canser.commands._parser import (
     CallError,
     DataError,
     Parser,
-    say,
     show,
+    write_line,
 )
 from canser.errors import (
     CanserError,
@@ -161,7 +161,7 @@ def _run(argv: Sequence[str]) -> int:
     except ReaderGoneError:
         return GOOD  # as in `canser dump ... | head`
     except KeyboardInterrupt:
-        say("canser: interrupted")
+        write_line("canser: interrupted")
         return 130
     except (
         CallError,
@@ -191,5 +191,5 @@ def _fail(code: int, error: Exception) -> int:
         text = str(error)
     # A name may have any character, and a message is one line.
     line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    say(f"canser: {line}")
+    write_line(f"canser: {line}")
     return code

@@ -6,16 +6,16 @@ from typing import Any
 from canser._output import check_apart, whole_file
 from canser._progress import Progress
 from canser.analysis import report
-from canser.commands._parser import GOOD, CallError, Commands, add_command, say
+from canser.commands._parser import GOOD, CallError, Commands, add_command, write_line
 from canser.commands._source import (
     check_found,
     opened,
     options_named,
     read_options,
-    say_remarks,
     selection,
     selection_arguments,
     source_arguments,
+    write_remarks,
 )
 from canser.files.formats import RAW, format_names
 from canser.files.reading import Blocks
@@ -118,21 +118,23 @@ def run(args: argparse.Namespace) -> int:
         stats = source.stats
     inputs = ", ".join(args.sources)
     if done.copied:
-        say(f"{inputs} -> {args.target}: {done.bytes_out:,} bytes of the line")
+        write_line(f"{inputs} -> {args.target}: {done.bytes_out:,} bytes of the line")
         stats = None
     else:
-        say(f"{inputs} -> {args.target}: {done.frames:,} frames")
+        write_line(f"{inputs} -> {args.target}: {done.frames:,} frames")
     if stats is not None:
-        say(report.conservation(stats))
+        write_line(report.conservation(stats))
         if stats.bytes_skipped:
-            say(f"skipped: {report.reject_text(stats)}; resyncs: {stats.resyncs:,}")
+            write_line(f"skipped: {report.reject_text(stats)}; resyncs: {stats.resyncs:,}")
         if stats.controls:
-            say(f"control packets, not in the output as they are no frames: {stats.controls:,}")
+            write_line(
+                f"control packets, not in the output as they are no frames: {stats.controls:,}"
+            )
     if to in BYTES and not done.copied:
-        say(f"{done.frames:,} frames = {done.bytes_out:,} bytes out")
+        write_line(f"{done.frames:,} frames = {done.bytes_out:,} bytes out")
     for remark in done.remarks:
-        say(remark)
-    say_remarks(source)
+        write_line(remark)
+    write_remarks(source)
     return GOOD
 
 

@@ -4,14 +4,14 @@ import argparse
 
 from canser._output import standard_output
 from canser.analysis import report
-from canser.commands._parser import GOOD, Commands, add_command, say
+from canser.commands._parser import GOOD, Commands, add_command, write_line
 from canser.commands._source import (
     check_found,
     open_source,
-    say_remarks,
     selection,
     selection_arguments,
     source_arguments,
+    write_remarks,
 )
 from canser.files.candump import STAMPS, Dump
 
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
             out.flush()
         stats = source.stats
     if stats is not None and (stats.bytes_skipped or stats.controls):
-        say(report.conservation(stats))
-    say_remarks(source)
+        write_line(report.conservation(stats))
+    write_remarks(source)
     check_found(source, as_is=args.as_is)
     return GOOD

@@ -9,7 +9,15 @@ from canser._protocols import protocols
 from canser.analysis import report
 from canser.analysis.summary import info, rank_protocols
 from canser.commands._numbers import whole
-from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, say, show
+from canser.commands._parser import (
+    GOOD,
+    CallError,
+    Commands,
+    DataError,
+    add_command,
+    show,
+    write_line,
+)
 from canser.commands._source import (
     opened,
     options_named,
@@ -74,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         raise _no_protocol(error.name, ranked=not args.json) from None
     show([json.dumps(found.as_dict(args.top))] if args.json else found.lines(args.top))
     for remark in found.remarks:
-        say(remark)
+        write_line(remark)
     if found.protocol is not None and found.stats is not None and not args.as_is:
         refuse_doubtful(found.name, found.protocol, found.stats, found.doubt)
     return GOOD

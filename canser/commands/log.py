@@ -176,14 +176,14 @@ def run(args: argparse.Namespace) -> int:
         Lines(sys.stderr.fileno()) as messages,
     ):
         with (
-            _Teller(messages, as_json=args.json) as teller,
-            warnings_as_lines(teller.warn),
+            _Reporter(messages, as_json=args.json) as reporter,
+            warnings_as_lines(reporter.warn),
             open_port(args, on_bytes=recorder.write) as port,
         ):
-            ended = _Log(args, filters, port, recorder, teller).run(stop)
+            ended = _Log(args, filters, port, recorder, reporter).run(stop)
         if ended is not None:
             messages.put(f"canser: {ended}", last=True)
-    return BAD_DATA if ended is not None or teller.failed else GOOD
+    return BAD_DATA if ended is not None or reporter.failed else GOOD
 
 
 def _recorder(args: argparse.Namespace) -> Recorder:
@@ -220,7 +220,7 @@ def _size(text: str) -> int:
     return size
 
 
-class _Teller:
+class _Reporter:
     """Tell people on standard error, or machines on standard output; a context manager."""
 
     def __init__(self, messages: Lines, *, as_json: bool) -> None:
@@ -302,9 +302,9 @@ class _Log:
         filters: list[str],
         port: Port,
         recorder: Recorder,
-        teller: _Teller,
+        reporter: _Reporter,
     ) -> None:
-        self._port, self._recorder, self._teller = port, recorder, teller
+        self._port, self._recorder, self._reporter = port, recorder, reporter
         self._filters, self._errors = filters, "error" in args.triggers
         self._triggered, self._duration = bool(args.triggers), args.duration
         self._clock = host_clock()
@@ -349,7 +349,7 @@ class _Log:
             if left <= 0:
                 return
             self._read(min(left, _ROUND_S))
-            if self._teller.due:
+            if self._reporter.due:
                 self._tell_status()
         # What the line has delivered until now may wait in the system, or in the ring.
         end = time.monotonic() + _DRAIN_S
@@ -386,7 +386,7 @@ class _Log:
             if said.kind == "error":
                 ts = self._recorder.arrival_of(offset)
                 text = f"the adapter reports error {said.number}"
-                self._teller.event("error", text, ts, number=said.number)
+                self._reporter.event("error", text, ts, number=said.number)
                 times += [ts] if self._errors else []
         return sorted(times)
 
@@ -400,13 +400,13 @@ class _Log:
             text = _gap_text(gap)
             if self._away:
                 text += f"; waiting for {self._port.url}"
-            self._teller.event(
+            self._reporter.event(
                 "gap", text, gap.ts, offset=gap.offset, lost=gap.lost, reason=gap.reason
             )
             self._gap_end = self._recorder.bytes_in
         if self._away and self._recorder.bytes_in > self._gap_end:
             self._away = False
-            self._teller.event("back", f"{self._port.url} is back", self._clock())
+            self._reporter.event("back", f"{self._port.url} is back", self._clock())
 
     def _tell_events(self) -> None:
         recorder = self._recorder
@@ -414,27 +414,27 @@ class _Log:
             event = recorder.events.popleft()
             kind, path, ts = event.kind, event.path, event.ts
             if kind == "vanished":
-                self._teller.event(
+                self._reporter.event(
                     kind, _vanished_text(event), ts, path=path, lost=event.lost,
                     renamed=event.renamed,
                 )  # fmt: skip
             elif kind == "trigger":
                 when = datetime.fromtimestamp(ts / 1e9).astimezone()
-                self._teller.event("trigger", f"trigger at {when:%H:%M:%S.%f}", ts, path=path)
-            elif kind != "closed" or self._teller.status is None:
-                self._teller.event(kind, f"{_ABOUT_FILES[kind]} {path}", ts, path=path)
+                self._reporter.event("trigger", f"trigger at {when:%H:%M:%S.%f}", ts, path=path)
+            elif kind != "closed" or self._reporter.status is None:
+                self._reporter.event(kind, f"{_ABOUT_FILES[kind]} {path}", ts, path=path)
         if recorder.out_of_memory and not self._told_memory:
             self._told_memory = True
-            self._teller.warn(
+            self._reporter.warn(
                 f"{MEMORY >> 20} MiB are too little for all that came before a trigger; "
                 "--before is shorter than it says"
             )
 
     def _tell_status(self) -> None:
-        if self._teller.status is None:
-            self._teller.object("status", self._clock(), self._facts())
+        if self._reporter.status is None:
+            self._reporter.object("status", self._clock(), self._facts())
             return
-        self._teller.status.show(self._parts())
+        self._reporter.status.show(self._parts())
 
     def _facts(self) -> dict[str, Any]:
         """Return how things stand, for machines."""
@@ -462,7 +462,7 @@ class _Log:
             "triggers": recorder.triggers,
             "files": recorder.files,
             "file": recorder.file,
-            "lines_dropped": self._teller.dropped,
+            "lines_dropped": self._reporter.dropped,
         }
 
     def _parts(self) -> list[str]:
@@ -491,11 +491,11 @@ class _Log:
 
     def _summary(self, reason: str, error: Exception | None) -> None:
         port, recorder, stats = self._port, self._recorder, self._port.stats
-        if self._teller.status is None:
+        if self._reporter.status is None:
             facts = {"reason": reason, "error": None if error is None else str(error)}
-            self._teller.object("end", self._clock(), facts | self._facts())
+            self._reporter.object("end", self._clock(), facts | self._facts())
             return
-        self._teller.status.clear()
+        self._reporter.status.clear()
         seconds = time.monotonic() - self._begin
         lines = [
             f"{port.url}: {stats.frames:,} frames in {seconds:,.1f} s",
@@ -511,11 +511,11 @@ class _Log:
             )
         unknown = f"; gaps of unknown length: {self._gaps_unknown:,}" if self._gaps_unknown else ""
         lines.append(f"lost: {port.bytes_lost:,} bytes{unknown}")
-        if self._teller.dropped:
+        if self._reporter.dropped:
             lines.append(
-                f"lines not shown, because standard error was not read: {self._teller.dropped:,}"
+                f"lines not shown, because standard error was not read: {self._reporter.dropped:,}"
             )
-        self._teller.last_lines(lines)
+        self._reporter.last_lines(lines)
 
 
 def _files_text(recorder: Recorder) -> str:

@@ -9,7 +9,7 @@ from canser._frames import FrameArray
 from canser._signals import Stop, stop_on_signals
 from canser.codec.refusals import Refusals
 from canser.commands._numbers import real
-from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, say
+from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, write_line
 from canser.commands._port import open_port, port_arguments
 from canser.commands._sending import Sender
 from canser.commands._source import as_is_argument, bus_argument, read_options
@@ -137,7 +137,7 @@ class _Source:
         if self._checked.left_out:
             if self._args.strict:
                 raise self._refused(file.name, self._checked)
-            say(f"{file.name}: {self._checked}; {self._args.protocol} cannot carry them")
+            write_line(f"{file.name}: {self._checked}; {self._args.protocol} cannot carry them")
 
     def rounds(self, first: TrafficFile) -> Iterator[Iterator[FrameArray]]:
         """Yield the frames of each round."""
@@ -155,7 +155,7 @@ class _Source:
     def tell_left_out(self) -> None:
         """Tell what is left out, where `check` has not: of a pipe, or a file that has changed."""
         if self._played.left_out > self._expected:
-            say(f"{self._name}: {self._played}; {self._args.protocol} cannot carry them")
+            write_line(f"{self._name}: {self._played}; {self._args.protocol} cannot carry them")
 
     def finish(self) -> None:
         """Raise what has ended the playing."""
@@ -181,7 +181,7 @@ class _Source:
         for remark in file.remarks:
             if remark not in self._told:
                 self._told.add(remark)
-                say(remark)
+                write_line(remark)
 
     def _check_any(self, name: str, found: Refusals) -> None:
         if not found.frames:
@@ -214,16 +214,18 @@ def _open(args: argparse.Namespace) -> TrafficFile:
 
 def _tell(args: argparse.Namespace, played: Played, sent: int) -> None:
     rounds = f" in {played.rounds:,} rounds" if args.loop else ""
-    say(f"{sent:,} frames sent to {args.channel}{rounds}")
+    write_line(f"{sent:,} frames sent to {args.channel}{rounds}")
     if played.untimed == played.frames and args.gap is None:
-        say("they have no times: sent as fast as the line took them; --gap MS spaces them")
+        write_line("they have no times: sent as fast as the line took them; --gap MS spaces them")
         return
     late = played.lateness
-    say(
+    write_line(
         f"timing error: mean {late.mean / 1e6:.2f} ms, 99 % below {late.share(0.99) / 1e6:.2f} ms, "
         f"most {late.most / 1e6:.2f} ms"
     )
     if played.untimed:
-        say(f"frames without a time, sent right behind those before them: {played.untimed:,}")
+        write_line(
+            f"frames without a time, sent right behind those before them: {played.untimed:,}"
+        )
     if played.jumps:
-        say(f"jumps of the recorded clock, passed over without a pause: {played.jumps:,}")
+        write_line(f"jumps of the recorded clock, passed over without a pause: {played.jumps:,}")

@@ -2,7 +2,7 @@
 
 import argparse
 
-from canser.commands._parser import GOOD, Commands, add_command, say, show
+from canser.commands._parser import GOOD, Commands, add_command, show, write_line
 from canser.live.ports import list_ports
 
 __all__ = ["add"]
@@ -21,7 +21,7 @@ def add(commands: Commands) -> None:
 def run(args: argparse.Namespace) -> int:  # noqa: ARG001 - what every command takes
     rows = [tuple(port) for port in list_ports()]
     if not rows:
-        say("no serial port is plugged in; a port over the network is named by its URL")
+        write_line("no serial port is plugged in; a port over the network is named by its URL")
         return GOOD
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     show(

@@ -3,7 +3,7 @@
 import argparse
 
 from canser._output import check_apart, whole_file
-from canser.commands._parser import GOOD, Commands, add_command, say
+from canser.commands._parser import GOOD, Commands, add_command, write_line
 from canser.recording.recording import recover
 
 __all__ = ["add"]
@@ -30,9 +30,9 @@ def run(args: argparse.Namespace) -> int:
     ):
         done = recover(source, target)
     for remark in done.remarks:
-        say(f"{args.source}: {remark}")
+        write_line(f"{args.source}: {remark}")
     left_out = f"{done.bytes_left_out:,} bytes left out" if done.bytes_left_out else "all is good"
-    say(
+    write_line(
         f"{args.source} -> {args.target}: {done.blocks:,} blocks, "
         f"{done.bytes_kept:,} bytes of the line; {left_out}"
     )

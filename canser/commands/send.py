@@ -5,7 +5,7 @@ import argparse
 from canser._frames import copy_records
 from canser._items import frames as make_frames
 from canser.codec.decoder import encode
-from canser.commands._parser import GOOD, CallError, Commands, add_command, say
+from canser.commands._parser import GOOD, CallError, Commands, add_command, write_line
 from canser.commands._port import open_port, port_arguments
 from canser.commands._sending import Sender
 
@@ -46,5 +46,5 @@ def run(args: argparse.Namespace) -> int:
         sender.send(frames)
         sender.drain()
     count = sender.sent
-    say(f"{count:,} frame{'s' * (count != 1)} sent to {args.channel}")
+    write_line(f"{count:,} frame{'s' * (count != 1)} sent to {args.channel}")
     return GOOD

@@ -27,10 +27,10 @@ from canser.commands._parser import (
     DataError,
     add_command,
     protocol_name,
-    say,
     show,
+    write_line,
 )
-from canser.commands._source import as_is_argument, bus_argument, read_options, say_remarks
+from canser.commands._source import as_is_argument, bus_argument, read_options, write_remarks
 from canser.commands._traffic import TrafficFile
 from canser.errors import ReaderGoneError
 from canser.simulation.faults import Faults
@@ -181,7 +181,9 @@ def run(args: argparse.Namespace) -> int:
             ) as device,
         ):
             if args.pace is None and args.baudrate is None and device.report().pace == "line":
-                say(f"{args.traffic}: the frames have no times; sent as fast as the line carries")
+                write_line(
+                    f"{args.traffic}: the frames have no times; sent as fast as the line carries"
+                )
             with contextlib.suppress(ReaderGoneError):  # --link names the terminal, too
                 show([device.url])
             endless = loop or (args.traffic is None and args.seconds is None)
@@ -196,9 +198,9 @@ def run(args: argparse.Namespace) -> int:
     if isinstance(traffic, _File):
         traffic.tell_left_out()
     for line in _summary(report):
-        say(line)
+        write_line(line)
     if failure:
-        say(f"canser: {failure}")
+        write_line(f"canser: {failure}")
         return BAD_DATA
     return GOOD
 
@@ -217,7 +219,7 @@ def _run(device: Simulator, stop: Stop, *, endless: bool) -> str:
             if away > _PATIENCE_S:
                 return ""
             if not away and abs(finished - _PATIENCE_S) < _LOOK_S / 2:
-                say("all is sent; waiting for the host to read the rest (Ctrl-C ends)")
+                write_line("all is sent; waiting for the host to read the rest (Ctrl-C ends)")
         elif away > _HOST_PATIENCE_S and not endless:
             return (
                 f"no host had {device.url} open for {_HOST_PATIENCE_S:g} s, and not all was sent; "
@@ -289,7 +291,9 @@ class _File:
         """Tell, once, which frames are left out."""
         if self._refusals.left_out and not self._told:
             self._told = True
-            say(f"{self._args.traffic}: {self._refusals}; {self._args.protocol} cannot carry them")
+            write_line(
+                f"{self._args.traffic}: {self._refusals}; {self._args.protocol} cannot carry them"
+            )
 
     def __iter__(self) -> Iterator[FrameArray]:
         opened, first = self._opened or self._open(), self._first
@@ -304,7 +308,7 @@ class _File:
             yield from filter(len, map(self._refusals.keep, file))
         if not self._told_remarks:
             self._told_remarks = True
-            say_remarks(file.blocks)
+            write_remarks(file.blocks)
 
 
 def _carries_extended(protocol: str) -> bool:

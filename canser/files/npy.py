@@ -12,7 +12,7 @@ from typing import BinaryIO, Final, cast
 import numpy as np
 from numpy.lib import format as npy
 
-from canser._frames import FRAME_DTYPE, FrameArray, flaw
+from canser._frames import FRAME_DTYPE, FrameArray, reason_invalid
 from canser._input import Input
 from canser.errors import FormatError
 from canser.files._remarks import Tell, tell_all
@@ -129,5 +129,5 @@ def _check(frames: FrameArray, first: int, name: str) -> None:
     limit = np.where(frames["ext"], 0x1FFF_FFFF, 0x7FF)
     for index in np.flatnonzero((frames["id"] > limit) | (frames["dlc"] > 8))[:1]:
         row = frames[index]
-        found = flaw(int(row["id"]), bool(row["ext"]), int(row["dlc"]))
+        found = reason_invalid(int(row["id"]), bool(row["ext"]), int(row["dlc"]))
         raise FormatError(f"{name}, frame {first + index}: {found}")

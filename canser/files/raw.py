@@ -12,7 +12,7 @@ import numpy as np
 
 from canser import _input
 from canser._core.buffers import Offsets, Pointer, input_bytes, output_room
-from canser._core.stream import Chunk
+from canser._core.stream import ParallelChunk
 from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_records
 from canser._input import Input
 from canser._protocols import protocol, tick_ns
@@ -255,7 +255,7 @@ class _Fresh:
         self._out: FrameArray | None = None
         self._count = 0
 
-    def chunk(self) -> Chunk:
+    def chunk(self) -> ParallelChunk:
         return self._make_chunk(False)
 
     def room(self) -> tuple[Pointer, int, Pointer]:
@@ -268,7 +268,7 @@ class _Fresh:
         if self._out is not None and self._count == len(self._out):
             self._close()
 
-    def place(self, chunk: Chunk) -> Callable[[], None]:
+    def place(self, chunk: ParallelChunk) -> Callable[[], None]:
         self._close()
         place: list[FrameArray] = []
         self._blocks.append(place)
@@ -302,7 +302,7 @@ class _Reused:
         self._rest = np.empty(0, FRAME_DTYPE)
         self._rest_offsets = np.empty(0, np.int64)
 
-    def chunk(self) -> Chunk:
+    def chunk(self) -> ParallelChunk:
         return self._make_chunk(self._offsets is not None)
 
     def room(self) -> tuple[Pointer, int, Pointer]:
@@ -311,7 +311,7 @@ class _Reused:
     def wrote(self, count: int) -> None:
         self.begun += count
 
-    def place(self, chunk: Chunk) -> Callable[[], None]:
+    def place(self, chunk: ParallelChunk) -> Callable[[], None]:
         # Copied here and now: the helper may take its room again.
         self._rest = chunk.hand_over(chunk.make_room())
         if chunk.offsets is not None:
