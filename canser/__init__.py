@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from canser.files.fits import identify as identify
     from canser.files.reading import Blocks as Blocks
     from canser.files.reading import FilePart as FilePart
+    from canser.files.reading import Notes as Notes
     from canser.files.reading import blocks as blocks
     from canser.files.reading import read as read
     from canser.files.writing import Converted as Converted
@@ -133,6 +134,7 @@ _HOMES: Final = {
     "canser.files.reading": (
         "Blocks",
         "FilePart",
+        "Notes",
         "blocks",
         "read",
     ),

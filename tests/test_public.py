@@ -35,6 +35,7 @@ NAMES = [
     "LineConfig",
     "NO_TIME",
     "NoProtocolError",
+    "Notes",
     "OutputExistsError",
     "Port",
     "PortBusyError",

@@ -88,7 +88,7 @@ def test_a_recording_gives_the_frames_of_its_bytes(protocol: str, tmp_path: Path
         assert np.array_equal(np.concatenate(list(blocks)), got)
         assert blocks.decoder.stats.bytes_in == len(raw)
         assert blocks.bytes_done == blocks.bytes_total == path.stat().st_size
-        assert blocks.remarks == []
+        assert blocks.notes == ((), (), "")
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
@@ -150,7 +150,7 @@ def test_a_frame_does_not_reach_over_a_gap(tmp_path: Path) -> None:
     (block,) = blocks
     assert len(block) == 1
     assert blocks.decoder.stats.bytes_skipped == len(frame)
-    assert blocks.remarks == [f"{path}: gaps in the recording: 1, bytes lost: 1"]
+    assert blocks.notes.lines == (f"{path}: gaps in the recording: 1, bytes lost: 1",)
 
 
 def test_pieces_of_all_sizes_between_gaps(tmp_path: Path) -> None:
@@ -173,7 +173,7 @@ def test_pieces_of_all_sizes_between_gaps(tmp_path: Path) -> None:
     assert np.array_equal(untimed(frames), untimed(want))
     assert np.all(np.diff(frames["ts"]) >= 0)
     gaps = len(runs) - 1
-    assert got.remarks == [f"{path}: gaps in the recording: {gaps}, bytes lost: {gaps}"]
+    assert got.notes.remarks == (f"{path}: gaps in the recording: {gaps}, bytes lost: {gaps}",)
 
 
 def test_damage_is_left_out_and_told(tmp_path: Path) -> None:
@@ -198,7 +198,7 @@ def test_damage_is_left_out_and_told(tmp_path: Path) -> None:
     # A stray frame from the middle of two would be a new one.
     blocks_again = canser.blocks(hurt)
     assert sum(map(len, blocks_again)) == len(got)
-    assert blocks_again.remarks == texts
+    assert list(blocks_again.notes.remarks) == texts
 
 
 def test_what_is_given_wins(tmp_path: Path) -> None:

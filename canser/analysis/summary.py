@@ -274,16 +274,18 @@ def info(
 
 def _tell(file: Blocks, fits: list[Fit]) -> FileInfo:
     """Return what is in open files; `fits`: how the protocol was found, if it was."""
+    found = summarise(file)
+    notes = file.notes
     return replace(
-        summarise(file),
+        found,
         name=", ".join(part.name for part in file.files),
         files=tuple(file.files),
         protocol=file.protocol,
         stats=file.stats,
         controls=tuple(file.take_controls()),
         recording=file.recording,
-        doubt=file.doubt,
-        remarks=(*file.findings, *file.remarks),
+        doubt=notes.doubt,
+        remarks=notes.lines,
         fits=tuple(fits),
     )
 

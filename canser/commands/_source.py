@@ -193,7 +193,7 @@ def options_named(*, protocol: bool = True) -> Iterator[None]:
 def check_found(source: Blocks, *, as_is: bool) -> None:
     """Raise DataError if the bytes are not of the protocol that they were read in."""
     if source.protocol is not None and source.stats is not None and not as_is:
-        refuse_doubtful(source.name, source.protocol, source.stats, source.doubt)
+        refuse_doubtful(source.name, source.protocol, source.stats, source.notes.doubt)
 
 
 def refuse_doubtful(name: str, protocol: str, stats: Stats, doubt: str) -> None:
@@ -208,5 +208,5 @@ def refuse_doubtful(name: str, protocol: str, stats: Stats, doubt: str) -> None:
 
 def write_remarks(source: Blocks) -> None:
     """Print on standard error what is to be known of files."""
-    for remark in [*source.findings, *source.remarks]:
+    for remark in source.notes.lines:
         write_line(remark)

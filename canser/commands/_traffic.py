@@ -68,9 +68,9 @@ class TrafficFile(Iterator[FrameArray]):
         self.blocks.close()
 
     @property
-    def remarks(self) -> list[str]:
-        """What to know of the file so far, with its name."""
-        return [*self.blocks.findings, *self.blocks.remarks]
+    def remarks(self) -> tuple[str, ...]:
+        """What to know of the files so far, with their names."""
+        return self.blocks.notes.lines
 
     def _judge_raw(self, decoder: Decoder) -> None:
         sample = self.blocks.sample()

@@ -25,7 +25,7 @@ from canser.files.raw import RawReader
 from canser.files.reader import Reader, ReadOptions, refill
 from canser.recording.recording import RecordingInfo
 
-__all__ = ["Blocks", "Progress", "Source", "Sources", "blocks", "listed", "read"]
+__all__ = ["Blocks", "Notes", "Progress", "Source", "Sources", "blocks", "listed", "read"]
 
 # Called after each block with the bytes done and the bytes in all, None where that is not known.
 Progress = Callable[[int, int | None], None]
@@ -43,6 +43,34 @@ class FilePart(NamedTuple):
     name: str
     format: str
     frames: int
+
+
+class Notes(NamedTuple):
+    """What to know of files besides their frames; each line has the name of its file.
+
+    Attributes
+    ----------
+    found : tuple of str
+        Which protocols "auto" has found.
+    remarks : tuple of str
+        What is damaged, what is lost, what the frames do not hold.
+    doubt : str
+        Why bytes are not of the protocol they were read in; "" if they may be.
+    """
+
+    found: tuple[str, ...]
+    remarks: tuple[str, ...]
+    doubt: str
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """What was found, and the remarks."""
+        return self.found + self.remarks
+
+    @property
+    def all_lines(self) -> tuple[str, ...]:
+        """These, and the doubt, with what accepts the bytes."""
+        return (*self.lines, f"{self.doubt}; as_is=True accepts them") if self.doubt else self.lines
 
 
 def blocks(
@@ -173,7 +201,7 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         sort: bool = False,
         warns: bool = False,
     ) -> None:
-        """Open files; `warns`: CanserWarnings tell of them, else `remarks` and `doubt` do."""
+        """Open files; `warns`: CanserWarnings tell of them, else `notes` do."""
         self.sources = listed(source)
         self._options, self._format, self._progress = options, format, progress
         self._warns = warns
@@ -205,8 +233,8 @@ class Blocks(Uncopied, Iterator[FrameArray]):
             block = next(self._blocks)
         except StopIteration:
             self.close()
-            if self._warns and not self._options.as_is and self.doubt:
-                warnings.warn(f"{self.doubt}; as_is=True accepts them", CanserWarning, stacklevel=2)
+            if self._warns and not self._options.as_is and (doubt := self.notes.doubt):
+                warnings.warn(f"{doubt}; as_is=True accepts them", CanserWarning, stacklevel=2)
             self._warns = False  # once
             raise
         if self._progress is not None:
@@ -308,29 +336,16 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         return self._begin().recording
 
     @property
-    def findings(self) -> list[str]:
-        """Which protocols "auto" has found, with the names of the files; a pipe is waited for."""
+    def notes(self) -> Notes:
+        """What to know of the files so far; a pipe is waited for."""
         self._begin()
-        return [
-            f"{source.name}: {reader.found}"
-            for source, reader in zip(self._inputs, self._readers, strict=False)
-            if reader.found
+        opened = list(zip(self._inputs, self._readers, strict=False))
+        found = [f"{source.name}: {reader.found}" for source, reader in opened if reader.found]
+        remarks = [
+            f"{source.name}: {remark}" for source, reader in opened for remark in reader.remarks
         ]
-
-    @property
-    def remarks(self) -> list[str]:
-        """What to know of the files so far: what is damaged, lost, or no frame, with the name."""
-        found = [
-            f"{source.name}: {remark}"
-            for source, reader in zip(self._inputs, self._readers, strict=False)
-            for remark in reader.remarks
-        ]
-        return [*found, *self._order.remarks]
-
-    @property
-    def doubt(self) -> str:
-        """Why bytes so far are not of the protocol they are read in; "" if they may be."""
-        return next((reader.doubt for reader in self._readers if reader.doubt), "")
+        doubts = (reader.doubt for _, reader in opened)
+        return Notes(tuple(found), (*remarks, *self._order.remarks), next(filter(None, doubts), ""))
 
     def sample(self) -> memoryview:
         """Return some of the raw bytes of the first file, to tell what they are.
@@ -562,9 +577,7 @@ def read(
             raise ValueError("offsets are those of one file of raw bytes, or of one recording")
         else:
             frames = concat(opened)
-        remarks = [*opened.findings, *opened.remarks]
-        if not as_is and opened.doubt:
-            remarks.append(f"{opened.doubt}; as_is=True accepts them")
-    for remark in remarks:
+        notes = opened.notes
+    for remark in notes.lines if as_is else notes.all_lines:
         warnings.warn(remark, CanserWarning, stacklevel=2)
     return frames

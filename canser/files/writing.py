@@ -235,11 +235,11 @@ def convert(
         check_target(chosen, protocol, blocks.format)
         with whole_file(name, force=force) as file:
             done = convert_opened(blocks, file, chosen, writing)
-            if blocks.doubt and not as_is:
-                raise FormatError(f"{blocks.doubt}; as_is=True accepts them")
+            notes = blocks.notes
+            if notes.doubt and not as_is:
+                raise FormatError(f"{notes.doubt}; as_is=True accepts them")
     for remark in [
-        *blocks.findings,
-        *blocks.remarks,
+        *notes.lines,
         *(f"{name}: {each}" for each in done.remarks),
     ]:
         warnings.warn(remark, CanserWarning, stacklevel=2)

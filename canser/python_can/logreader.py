@@ -60,7 +60,7 @@ class CaptureReader(BinaryIOMessageReader):
                 as_is=as_is,
             )
             self._blocks = Blocks(cast(Source, self.file), options)
-            for finding in self._blocks.findings:
+            for finding in self._blocks.notes.found:
                 _LOG.warning("%s", finding)
         except BaseException:
             if self.file is not file:
@@ -70,10 +70,8 @@ class CaptureReader(BinaryIOMessageReader):
     def __iter__(self) -> Iterator[can.Message]:
         for frames in self._blocks:
             yield from starmap(can.Message, to_rows(frames))
-        remarks = self._blocks.remarks
-        if self._blocks.doubt and not self._as_is:
-            remarks.append(f"{self._blocks.doubt}; as_is=True accepts them")
-        for remark in remarks:
+        notes = self._blocks.notes._replace(found=())  # the log has told which protocol it is
+        for remark in notes.lines if self._as_is else notes.all_lines:
             warnings.warn(remark, CanserWarning, stacklevel=2)
 
     def stop(self) -> None:

@@ -72,6 +72,7 @@ def convert_all(paths: list[Path]) -> None:
     """Read several files as one stream, and write any format."""
     with canser.blocks(paths, format="candump", bus="can0") as blocks:
         assert_type(blocks.stats, canser.Stats | None)
+        assert_type(blocks.notes.doubt, str)
         done = canser.write(blocks, "all.npy", force=True)
     assert_type(done.frames, int)
     canser.convert([*paths, "more.csv"], "all.bin", "serial", strict=True)
