@@ -189,7 +189,7 @@ def test_a_format_of_another_package_is_read_and_written(tmp_path: Path) -> None
         canser.write(FRAMES, path)
     texts = [str(warning.message) for warning in caught]
     assert texts[0] == (
-        "the format 'broken' of other.broken cannot be used: ImportError: no module named x"
+        "the format 'broken' of another package cannot be used: ImportError: no module named x"
     )
     assert texts[-1] == f"{path}: something is lost"
     with pytest.warns(CanserWarning, match="the end of run"):
@@ -198,6 +198,29 @@ def test_a_format_of_another_package_is_read_and_written(tmp_path: Path) -> None
     with pytest.warns(CanserWarning, match="the end of run"):
         assert canser.read(other).tobytes() == FRAMES.tobytes()
     assert "mine" in formats.format_names()
+
+
+@pytest.fixture
+def _failing(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    def sniff(head: bytes) -> bool:
+        raise IndexError(f"{len(head)} bytes")
+
+    points(monkeypatch, failing=SimpleNamespace(suffixes=(".x",), sniff=sniff, read=None))
+    yield
+    monkeypatch.undo()
+    formats._all.cache_clear()
+
+
+@pytest.mark.usefixtures("_failing")
+def test_a_format_of_another_package_that_fails_is_a_warning(tmp_path: Path) -> None:
+    path = tmp_path / "run.bin"
+    path.write_bytes(canser.encode(FRAMES, "seeed"))
+    with pytest.warns(CanserWarning) as caught:
+        assert len(canser.read(path, "auto")) == len(FRAMES)
+    assert "'failing' of another package cannot be used: IndexError" in str(caught[0].message)
+    assert len(canser.read(path, "seeed")) == len(FRAMES)  # it is not asked
+    with pytest.raises(ValueError, match="reads failing, and does not write it"):
+        canser.write(FRAMES, tmp_path / "run.x")
 
 
 @pytest.mark.usefixtures("_added")

@@ -4,7 +4,7 @@ import argparse
 import contextlib
 import sys
 from collections.abc import Iterator
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 import numpy as np
 
@@ -21,16 +21,18 @@ from canser.errors import (
     StreamClosedError,
     WrongProtocolError,
 )
-from canser.files.formats import format_names
+from canser.files.formats import BUILT_IN, find_format
 from canser.files.judge import AUTO, is_auto
 from canser.files.reader import ReadOptions
 from canser.files.reading import Blocks
 from canser.files.selection import Selection
 
 __all__ = [
+    "FORMATS",
     "as_is_argument",
     "bus_argument",
     "check_found",
+    "format_name",
     "open_source",
     "opened",
     "options_named",
@@ -67,8 +69,10 @@ def source_arguments() -> argparse.ArgumentParser:
     source.add_argument(
         "--from",
         dest="source_format",
-        choices=format_names(),
-        help="format of IN (default: by its content, else by its suffix, else raw bytes)",
+        metavar="FORMAT",
+        type=format_name,
+        help=f"format of IN: {FORMATS} (default: by its content, else by its suffix, else raw "
+        "bytes)",
     )
     bus_argument(source)
     source.add_argument(
@@ -76,6 +80,19 @@ def source_arguments() -> argparse.ArgumentParser:
     )
     as_is_argument(source)
     return source
+
+
+# The formats, as the help lists them.
+FORMATS: Final = ", ".join(BUILT_IN)
+
+
+def format_name(name: str) -> str:
+    """Return the name of a format, of another package's too; the type of an option."""
+    try:
+        find_format(name)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return name
 
 
 def bus_argument(parser: argparse.ArgumentParser) -> None:

@@ -8,7 +8,9 @@ from canser._progress import Progress
 from canser.analysis import report
 from canser.commands._parser import GOOD, CallError, Commands, add_command, write_line
 from canser.commands._source import (
+    FORMATS,
     check_found,
+    format_name,
     opened,
     options_named,
     read_options,
@@ -17,7 +19,7 @@ from canser.commands._source import (
     source_arguments,
     write_remarks,
 )
-from canser.files.formats import RAW, format_names
+from canser.files.formats import RAW
 from canser.files.reading import Blocks
 from canser.files.writer import WriteOptions
 from canser.files.writing import BYTES, check_target, choose_target, convert_opened, open_to_convert
@@ -53,8 +55,9 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--to",
         dest="target_format",
-        choices=format_names(),
-        help="format of OUT (default: by its suffix, .bin for raw bytes; on standard "
+        metavar="FORMAT",
+        type=format_name,
+        help=f"format of OUT: {FORMATS} (default: by its suffix, .bin for raw bytes; on standard "
         "output candump, or raw where IN holds frames)",
     )
     selection_arguments(parser)

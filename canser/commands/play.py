@@ -12,10 +12,9 @@ from canser.commands._numbers import real
 from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, write_line
 from canser.commands._port import open_port, port_arguments
 from canser.commands._sending import Sender
-from canser.commands._source import as_is_argument, bus_argument, read_options
+from canser.commands._source import FORMATS, as_is_argument, bus_argument, format_name, read_options
 from canser.commands._traffic import TrafficFile
 from canser.errors import CanserError
-from canser.files.formats import format_names
 from canser.live.player import Played, play
 
 __all__ = ["add"]
@@ -47,8 +46,10 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--from",
         dest="source_format",
-        choices=format_names(),
-        help="format of IN (default: by its content, else by its suffix, else raw bytes)",
+        metavar="FORMAT",
+        type=format_name,
+        help=f"format of IN: {FORMATS} (default: by its content, else by its suffix, else raw "
+        "bytes)",
     )
     pace = parser.add_mutually_exclusive_group()
     pace.add_argument(

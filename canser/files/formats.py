@@ -31,6 +31,7 @@ from canser.files.writer import WriteOptions, Writer
 from canser.recording.recording import starts_recording
 
 __all__ = [
+    "BUILT_IN",
     "PCAPNG",
     "RAW",
     "Format",
@@ -50,7 +51,7 @@ _GROUP: Final = "canser.formats"
 Format = Any
 
 # Modules have what a format has; a type checker cannot see that of a module.
-_BUILT_IN: Final[dict[str, Any]] = {
+BUILT_IN: Final[dict[str, Any]] = {
     RAW: raw,
     PCAPNG: recordings,
     "candump": candump,
@@ -67,8 +68,15 @@ class _Added:
         self.about = str(getattr(module, "about", f"a {name} file"))
         self.suffixes = tuple(module.suffixes)
         self.cannot_hold = tuple(getattr(module, "cannot_hold", ()))
-        self.sniff = module.sniff
+        self._name = name
         self.write = self._write if getattr(module, "write", None) is not None else None
+
+    def sniff(self, head: bytes) -> bool:
+        try:
+            return bool(self._module.sniff(head))
+        except Exception as error:  # noqa: BLE001 - a package of others may raise anything
+            _warn(self._name, error)
+            return False
 
     def read(self, source: Input, options: ReadOptions) -> Reader:
         return DecodedReader(source, options, self._module.read)
@@ -81,7 +89,7 @@ class _Added:
 @cache
 def _all() -> dict[str, Format]:
     """Return all formats by their names; those of canser win."""
-    formats = dict(_BUILT_IN)
+    formats = dict(BUILT_IN)
     for point in entry_points(group=_GROUP):
         added = _load(point)
         if added is not None:
@@ -93,13 +101,15 @@ def _load(point: EntryPoint) -> Format | None:
     try:
         return _Added(point.name, point.load())
     except Exception as error:  # noqa: BLE001 - a package of others may raise anything
-        warnings.warn(
-            f"the format {point.name!r} of {point.value} cannot be used: "
-            f"{type(error).__name__}: {error}",
-            CanserWarning,
-            stacklevel=2,
-        )
+        _warn(point.name, error)
         return None
+
+
+def _warn(name: str, error: Exception) -> None:
+    """Warn that the format of another package does not work."""
+    what = f"{type(error).__name__}: {error}"
+    text = f"the format {name!r} of another package cannot be used: {what}"
+    warnings.warn(text, CanserWarning, stacklevel=3)
 
 
 def format_names() -> tuple[str, ...]:
@@ -109,7 +119,7 @@ def format_names() -> tuple[str, ...]:
 
 def find_format(name: str) -> Format:
     """Return the format of a name, or raise ValueError."""
-    found = _BUILT_IN.get(name) if isinstance(name, str) else None
+    found = BUILT_IN.get(name) if isinstance(name, str) else None
     if found is None and name in _all():
         found = _all()[name]
     if found is None:
@@ -120,7 +130,7 @@ def find_format(name: str) -> Format:
 def format_of_name(path: str) -> str | None:
     """Return the name of the format that a file's name ends as, None for any other."""
     suffix = PurePath(path).suffix.lower()
-    for formats in (_BUILT_IN, _all()):
+    for formats in (BUILT_IN, _all()):
         for name, each in formats.items():
             if suffix and suffix in each.suffixes:
                 return name
@@ -145,7 +155,7 @@ def choose_format(source: Input, options: ReadOptions, given: str | None) -> str
     if forced and options.as_is:
         return RAW
     head = _head(source, wait=options.protocol is None)
-    found = _sniffed(head, added=options.protocol is None)
+    found = _sniffed(head, added=not forced)
     if found is not None:
         if forced:
             what = f"{source.name} is {find_format(found).about}, not raw bytes"
@@ -178,7 +188,7 @@ def _head(source: Input, *, wait: bool) -> bytes:
 
 
 def _sniffed(head: bytes, *, added: bool) -> str | None:
-    for formats in (_BUILT_IN, _all() if added else {}):
+    for formats in (BUILT_IN, _all() if added else {}):
         for name, each in formats.items():
             if name != PCAPNG and each.sniff(head):
                 return name
