@@ -259,6 +259,28 @@ def test_raw_files_are_one_stream_wherever_they_are_cut(
         assert sum(file.frames for file in blocks.files) == len(got)
 
 
+@pytest.mark.parametrize("threads", [1, 3])
+def test_raw_files_of_one_byte_are_one_stream(tmp_path: Path, threads: int) -> None:
+    raw = canser.encode(FRAMES[:4], "serial")
+    paths = []
+    for number, byte in enumerate(raw):
+        paths.append(tmp_path / f"{number}.bin")
+        paths[-1].write_bytes(bytes([byte]))
+    got = canser.read(paths, "serial", threads=threads)
+    assert got.tobytes() == canser.decode(raw, "serial").tobytes()
+
+
+def test_bytes_of_another_protocol_are_doubted_whatever_file_comes_last(tmp_path: Path) -> None:
+    raw = tmp_path / "a.bin"
+    raw.write_bytes(canser.encode(FRAMES, "serial"))
+    last = saved(tmp_path / "b.npy", timed(NO_TIME))
+    with canser.blocks([raw], "seeed") as blocks, pytest.warns(CanserWarning, match="are in no"):
+        list(blocks)
+    for command in (["info"], ["convert", "-o", str(tmp_path / "x.csv")], ["dump"]):
+        assert main([*command, str(raw), str(last), "-p", "seeed"]) == 1
+    assert not (tmp_path / "x.csv").exists()
+
+
 def test_raw_files_with_offsets_are_one_stream(tmp_path: Path) -> None:
     raw = canser.encode(FRAMES, "seeed")
     paths = [tmp_path / "a.bin", tmp_path / "b.bin"]
@@ -290,6 +312,20 @@ def test_formats_may_mix(tmp_path: Path) -> None:
         ("b.npy", "npy", len(LOGGED)),
         ("c.csv", "csv", len(LOGGED)),
     ]
+
+
+def test_the_protocol_of_a_list_is_that_of_its_raw_bytes(tmp_path: Path) -> None:
+    paths = [
+        saved(tmp_path / "a.bin", FRAMES, "serial"),
+        saved(tmp_path / "b.npy", timed(NO_TIME)),
+    ]
+    got = canser.read(paths, "serial")
+    assert len(got) == len(FRAMES) + 1
+    with canser.blocks(paths, "serial") as blocks:
+        assert sum(map(len, blocks)) == len(got)
+        assert blocks.protocol == "serial"
+        assert blocks.stats is not None
+        assert blocks.stats.frames == len(FRAMES)
 
 
 def test_a_packet_that_the_end_of_a_recording_cuts_does_not_go_on(tmp_path: Path) -> None:

@@ -111,7 +111,8 @@ def run(args: argparse.Namespace) -> int:
         try:
             check_target(to, args.protocol, source.format)
         except ValueError as error:
-            raise CallError(str(error)) from None
+            remedy = "" if to == source.format else "; name it with -p"
+            raise CallError(f"{error}{remedy}") from None
         options = WriteOptions(
             protocol=args.protocol, ts_unit=args.ts_unit or "ms", strict=args.strict
         )

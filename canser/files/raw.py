@@ -162,6 +162,9 @@ class RawReader(Reader):
         if decoder.pending:
             yield from self._finish_packet(whole)
         first = self.bytes_done
+        if decoder.pending:  # the whole file lies within that packet
+            yield from self._run(ends)
+            return
         for _ in decoder.run_ahead(input_bytes(whole[first:]), sink, self._threads):
             self._source.check_size()
             self.bytes_done = decoder.position - self._begin

@@ -96,7 +96,7 @@ def blocks(
     protocol : str, optional
         Of raw bytes, which do not say it: a name of `protocols()`, or "auto" for the one that
         fits with a score of 0.9 at least, as `identify` tells; a CanserWarning says which.
-        A recording knows its own.
+        A recording knows its own. Of several files it is that of the raw bytes among them.
     format : str, optional
         "raw", "pcapng" (a recording), "candump", "csv" or "npy". By default the format shows by
         the first bytes of the file, else by the suffix of its name, else it is "raw".
@@ -203,6 +203,9 @@ class Blocks(Uncopied, Iterator[FrameArray]):
     ) -> None:
         """Open files; `warns`: CanserWarnings tell of them, else `notes` do."""
         self.sources = listed(source)
+        if len(self.sources) > 1:
+            # Formats may mix: the protocol is that of the raw bytes among them.
+            options = dataclasses.replace(options, raw_only=True)
         self._options, self._format, self._progress = options, format, progress
         self._warns = warns
         self._inputs: list[Input] = []
@@ -308,9 +311,10 @@ class Blocks(Uncopied, Iterator[FrameArray]):
 
     @property
     def protocol(self) -> str | None:
-        """The protocol of the file that is read now, None for a format that holds frames."""
-        decoder = self._begin().decoder
-        return None if decoder is None else decoder.protocol
+        """The protocol of the last file with bytes of an adapter, None where there is none yet."""
+        self._begin()
+        decoders = self._decoders()
+        return decoders[-1].protocol if decoders else None
 
     @property
     def stats(self) -> Stats | None:

@@ -75,6 +75,7 @@ class RecordingReader(Reader):
             None if options.raw_only else options.ts_unit,
             live=source.size is None,
         )
+        self._ended_doubt: str | None = None  # None before the end
         self.decoder, self.recording = self._recorded.decoder, self._recorded.info
 
     def blocks(self, ends: Callable[[], bool]) -> Iterator[FrameArray]:  # noqa: ARG002
@@ -96,10 +97,18 @@ class RecordingReader(Reader):
     @property
     def doubt(self) -> str:
         """Why the bytes so far are not of the protocol they are read in; "" if they may be."""
+        if self._ended_doubt is not None:
+            return self._ended_doubt
         decoder, head = self.decoder, self._recorded.head
         return describe_doubt(
             self._source.name, decoder.protocol, decoder.position, decoder.skipped, head
         )
+
+    def close(self) -> None:
+        """Judge the bytes, and let go of the memory that reading took."""
+        if self._ended_doubt is None:
+            self._ended_doubt = self.doubt
+            self._recorded.release()
 
     def _room(self) -> tuple[FrameArray, Offsets | None]:
         if self._out is None:

@@ -28,7 +28,6 @@ __all__ = ["Converted", "choose_target", "convert", "convert_opened", "write"]
 # Formats that hold the bytes of a line.
 BYTES = (RAW, PCAPNG)
 
-
 _EVERYTHING = Selection()
 
 
@@ -83,7 +82,7 @@ def check_target(chosen: str, protocol: str | None, source: str = "") -> None:
         )
     if chosen in BYTES and source not in BYTES and (protocol is None or is_auto(protocol)):
         raise ValueError(
-            f"{find_format(chosen).about} need{'s' * (chosen == PCAPNG)} a protocol (-p): "
+            f"{find_format(chosen).about} need{'s' * (chosen == PCAPNG)} a protocol: "
             f"{', '.join(protocols())}"
         )
 

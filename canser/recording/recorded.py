@@ -74,6 +74,11 @@ class RecordedFrames:
             remarks.append(self._frame_clock.remark)
         return remarks
 
+    def release(self) -> None:
+        """Let go of the memory that reading took; nothing more is read."""
+        self.head = bytearray()
+        self._out, self._offsets = np.empty(0, FRAME_DTYPE), np.empty(0, np.int64)
+
     def line_bytes(self) -> Iterator[memoryview]:
         """Yield the bytes of the line as they were recorded; nothing is decoded."""
         for piece in self._recording:
