@@ -131,6 +131,9 @@ typedef struct {
     uint64_t rejects[CANSER_REJECT_COUNT]; /* by reason; they add up to bytes_skipped */
     uint64_t ts_wraps;                     /* device clock: steps forward through zero */
     uint64_t ts_backsteps;                 /* device clock: steps back */
+    uint64_t ts_uncertain;                 /* of these, those of over 2^24 ticks from a clock in
+                                            * line: a restart, a silence of more than half a turn,
+                                            * or a false time */
 } canser_stats;
 
 /* The device clock, unwrapped over the stream. */
@@ -192,6 +195,34 @@ typedef struct {
     int64_t ns;  /* when they had come */
 } canser_piece;
 
+/* Where a device's counter stood at a time of the host. */
+typedef struct {
+    uint64_t ticks; /* unwrapped */
+    int64_t host;   /* nanoseconds */
+} canser_reading;
+
+/* The least late frame of a piece: its time by the device's clock, and when it had come. */
+typedef struct {
+    int64_t device;
+    int64_t arrival;
+    int64_t index; /* that of the first frame behind the piece, in the call that gave this one */
+} canser_sample;
+
+/* What is known of the piece that the last frame was in. Fields are the library's own. */
+typedef struct {
+    int64_t piece_end;
+    uint64_t count;                          /* frames in it so far */
+    canser_sample lowest[CANSER_LOWEST_MAX]; /* by arrival less device time, first ones first */
+} canser_sampler;
+
+/* Which turn of its counter a device's clock is in. Fields are the library's own. */
+typedef struct {
+    canser_reading known; /* the last one that was near those before it */
+    canser_reading last;  /* the last one that was not */
+    uint8_t run;          /* how many of these in a row were near each other */
+    uint8_t started;      /* 1: `known` is set */
+} canser_turns;
+
 /* What a device's clock stands at: host's time = host + run + run * drift, where run =
  * device time - device; rounded towards `host + run`, modulo 2^64. */
 typedef struct {
@@ -232,6 +263,7 @@ typedef struct {
     canser_frame *frames;
     size_t frame_cap;
     int64_t *offsets;         /* stream offset of each frame, frame_cap long; or NULL */
+    int64_t *ends;            /* stream offset behind each, as long; or NULL; needs `offsets` */
     canser_control *controls; /* or NULL: control packets are counted, not kept */
     size_t control_cap;
     size_t frame_count;
@@ -389,21 +421,43 @@ int canser_configure(const canser_protocol *protocol, const canser_config *confi
 int canser_explain(const canser_protocol *protocol, const uint8_t *packet, size_t len,
                    canser_report *report);
 
-/* When the bytes of frames had come over a line that takes `byte_ns`, 0 or more, for each.
+/* When bytes had come over a line that takes `byte_ns`, 0 or more, for each.
  *
- * arrivals[i] is the time of the byte before offset behind[i]: where the next frame starts,
- * or at `end` behind the last one, but at most `reach` bytes behind offsets[i]. It came
- * with the first piece that ends there or behind; as much before pieces[].ns as the rest of
- * that piece takes, rounded down, but not before the piece before. So pieces[0] only tells
- * when the next one began, unless a frame lies in it. Behind the last piece all bytes have
- * its time.
+ * arrivals[i] is the time of the byte at offset at[i]. It came with the first piece that
+ * ends behind it; as much before pieces[].ns as the rest of that piece takes, rounded down,
+ * but not before the piece before. So pieces[0] only tells when the next one began, unless a
+ * byte asked for lies in it. Behind the last piece all bytes have its time.
  *
  * Pieces and offsets are in ascending order, else the times are of no use. Returns
  * CANSER_OK, or CANSER_NULL (also for no pieces), CANSER_MISALIGNED or CANSER_RANGE before
  * anything is written. */
 int canser_times_arrivals(const canser_piece *pieces, size_t piece_count, double byte_ns,
-                          const int64_t *offsets, size_t count, int64_t end, int64_t reach,
-                          int64_t *arrivals);
+                          const int64_t *at, size_t count, int64_t *arrivals);
+
+/* Set device times to the turn of the counter that is nearest to the host's clock, in place.
+ *
+ * times[i] is any time that a decoder with the same `tick_ns` gave the frame, and arrivals[i]
+ * when the frame had come. A counter of 32 bits tells a time but for whole turns; the host's
+ * clock tells the turn, as long as the arrival is late by less than half a turn: after a silence
+ * of any length, and whatever false times came before. The first frame keeps the value of its
+ * counter. `self` is all zero for a new stream; the result does not depend on how the frames are
+ * cut into calls. Returns CANSER_OK, or CANSER_NULL, CANSER_MISALIGNED or CANSER_TICK before
+ * anything is written. */
+int canser_times_turns(canser_turns *self, int64_t tick_ns, const int64_t *arrivals, size_t count,
+                       int64_t *times);
+
+/* Find the least late frame of each piece, of which an estimate of the device's clock can learn.
+ *
+ * The arguments are those of canser_times_arrivals and what it gave; device[i] is the time of
+ * frame i by the device's clock, at[i] the offset at which it starts. A sample is the frame of a
+ * piece with the third lowest arrival less device time, the second lowest of less than 8
+ * frames, the lowest of less than 4: false frames have any device time. It is given once a
+ * frame of a later piece has come, in this call or the next one. `self` is all zero for a new
+ * stream. `samples` has room for `count`; `*sample_count` is set on every return on which it
+ * is not NULL. Returns as canser_times_arrivals. */
+int canser_times_sample(canser_sampler *self, const canser_piece *pieces, size_t piece_count,
+                        const int64_t *at, size_t count, const int64_t *device,
+                        const int64_t *arrivals, canser_sample *samples, size_t *sample_count);
 
 /* How far arrivals lie above a line: arrivals[i] less the host's time for device[i], modulo
  * 2^64. Returns as canser_times_arrivals. */

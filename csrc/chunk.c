@@ -29,6 +29,8 @@ static int extend(canser_decoder *tale, const uint8_t *data, size_t data_len, si
     rest.frame_cap = frame_cap - frames;
     if (rest.offsets)
         rest.offsets += frames;
+    if (rest.ends)
+        rest.ends += frames;
     if (rest.controls) {
         rest.controls += controls;
         rest.control_cap -= controls;
@@ -142,6 +144,8 @@ static bool join_clock(canser_decoder *self, canser_chunk *chunk, canser_frame *
     self->stats.ts_wraps = stats.ts_wraps + chunk->tale.stats.ts_wraps - own_stats.ts_wraps;
     self->stats.ts_backsteps =
         stats.ts_backsteps + chunk->tale.stats.ts_backsteps - own_stats.ts_backsteps;
+    self->stats.ts_uncertain =
+        stats.ts_uncertain + chunk->tale.stats.ts_uncertain - own_stats.ts_uncertain;
     return true;
 }
 

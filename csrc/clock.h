@@ -34,7 +34,8 @@ CANSER_COLD void clock_jump(canser_clock *clock, uint32_t raw, uint64_t number, 
     if (number == 0)
         return;
     const uint64_t before = clock->turned + clock->raw;
-    if (clock->near_line || number - 1 - clock->jump_at >= IN_LINE) {
+    const bool in_line = clock->near_line || number - 1 - clock->jump_at >= IN_LINE;
+    if (in_line) {
         clock->line = before;
         clock->line_at = number - 1;
         clock->has_line = 1;
@@ -51,6 +52,7 @@ CANSER_COLD void clock_jump(canser_clock *clock, uint32_t raw, uint64_t number, 
     }
     const bool back = (int64_t)(ticks - before) < 0;
     stats->ts_backsteps += back;
+    stats->ts_uncertain += in_line && (int64_t)(ticks - before) < -SMALL_STEP;
     stats->ts_wraps += !back && raw < clock->raw;
     clock->turned = ticks - raw;
     clock->jump_at = number;

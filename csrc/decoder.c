@@ -92,10 +92,11 @@ static int check_batch(canser_batch *batch, const uint8_t *data, size_t data_len
         return CANSER_NULL;
     batch->frame_count = 0;
     batch->control_count = 0;
-    if (!batch->frames && batch->frame_cap)
+    if ((!batch->frames && batch->frame_cap) || (batch->ends && !batch->offsets))
         return CANSER_NULL;
     if (misaligned(batch->frames, _Alignof(canser_frame)) ||
         misaligned(batch->offsets, _Alignof(int64_t)) ||
+        misaligned(batch->ends, _Alignof(int64_t)) ||
         misaligned(batch->controls, _Alignof(canser_control)))
         return CANSER_MISALIGNED;
 
@@ -103,6 +104,7 @@ static int check_batch(canser_batch *batch, const uint8_t *data, size_t data_len
         span_of(data, data_len, 1),
         span_of(batch->frames, batch->frame_cap, sizeof(canser_frame)),
         span_of(batch->offsets, batch->frame_cap, sizeof(int64_t)),
+        span_of(batch->ends, batch->frame_cap, sizeof(int64_t)),
         span_of(batch->controls, batch->control_cap, sizeof(canser_control)),
     };
     for (size_t i = 0; i < sizeof spans / sizeof *spans; i++)

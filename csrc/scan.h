@@ -179,7 +179,7 @@ typedef struct {
  * offset of its byte. */
 CANSER_INLINE plain_stop plain_loop(const uint8_t *p, canser_frame *frame,
                                     canser_frame *const until, canser_clock *clock,
-                                    int64_t *offsets, const uint64_t shift)
+                                    int64_t *offsets, int64_t *ends, const uint64_t shift)
 {
     /* Among small steps the time is a line. */
     const uint64_t tick_ns = (uint64_t)clock->tick_ns, turned_ns = clock->turned * tick_ns;
@@ -205,6 +205,8 @@ CANSER_INLINE plain_stop plain_loop(const uint8_t *p, canser_frame *frame,
         }
         if (offsets)
             *offsets++ = (int64_t)((uintptr_t)p + shift);
+        if (ends)
+            *ends++ = (int64_t)((uintptr_t)next + shift);
         frame++;
         p = next;
     } while (CANSER_LIKELY(frame < until));
@@ -213,19 +215,26 @@ CANSER_INLINE plain_stop plain_loop(const uint8_t *p, canser_frame *frame,
     return (plain_stop){p, frame};
 }
 
-/* Two functions of their own, so that here, where a decoder spends its time, no
+/* Functions of their own, so that here, where a decoder spends its time, no
  * register and no jump is lost to what is rare, or to offsets nobody asked for. */
 CANSER_NOINLINE plain_stop take_plain(const uint8_t *p, canser_frame *frame, canser_frame *until,
                                       canser_clock *clock)
 {
-    return plain_loop(p, frame, until, clock, NULL, 0);
+    return plain_loop(p, frame, until, clock, NULL, NULL, 0);
 }
 
 CANSER_NOINLINE plain_stop take_plain_offsets(const uint8_t *p, canser_frame *frame,
                                               canser_frame *until, canser_clock *clock,
                                               int64_t *offsets, uint64_t shift)
 {
-    return plain_loop(p, frame, until, clock, offsets, shift);
+    return plain_loop(p, frame, until, clock, offsets, NULL, shift);
+}
+
+CANSER_NOINLINE plain_stop take_plain_spans(const uint8_t *p, canser_frame *frame,
+                                            canser_frame *until, canser_clock *clock,
+                                            int64_t *offsets, int64_t *ends, uint64_t shift)
+{
+    return plain_loop(p, frame, until, clock, offsets, ends, shift);
 }
 
 #if CANSER_VECTOR
@@ -250,6 +259,7 @@ CANSER_NOINLINE const uint8_t *scan_noise(canser_decoder *self, const uint8_t *p
     canser_frame *frame = batch->frames + batch->frame_count;
     const canser_frame *const frames_end = batch->frames + batch->frame_cap;
     int64_t *offsets = batch->offsets ? batch->offsets + batch->frame_count : NULL;
+    int64_t *ends = batch->ends ? batch->ends + batch->frame_count : NULL;
     canser_clock clock = self->clock;
     uint64_t skip_end = self->skip_end, bytes_skipped = 0, counted = 0, resyncs = 0;
     bool done = false;
@@ -277,6 +287,8 @@ CANSER_NOINLINE const uint8_t *scan_noise(canser_decoder *self, const uint8_t *p
             number++;
             if (offsets)
                 *offsets++ = (int64_t)(offset + passed);
+            if (ends)
+                *ends++ = (int64_t)(offset + passed + found.value);
             frame++;
             left >>= ahead;
             left >>= found.value;
@@ -319,6 +331,7 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
     canser_frame *frame = batch->frames + batch->frame_count;
     canser_frame *const frames_end = batch->frames + batch->frame_cap;
     int64_t *const offsets = batch->offsets ? batch->offsets + batch->frame_count : NULL;
+    int64_t *const ends = offsets && batch->ends ? batch->ends + batch->frame_count : NULL;
     canser_stats *const stats = &self->stats;
     canser_clock clock = self->clock;
     const uint64_t apart = stats->bytes_control + stats->bytes_skipped;
@@ -335,10 +348,14 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
 
         do {
             if (mode == SCAN_BODY) {
+                const ptrdiff_t done = frame - begin;
+                const uint64_t shift = base - (uintptr_t)data;
                 const plain_stop at =
-                    offsets ? take_plain_offsets(p, frame, until, &clock, offsets + (frame - begin),
-                                                 base - (uintptr_t)data)
-                            : take_plain(p, frame, until, &clock);
+                    ends ? take_plain_spans(p, frame, until, &clock, offsets + done, ends + done,
+                                            shift)
+                    : offsets ? take_plain_offsets(p, frame, until, &clock, offsets + done, shift)
+                              : take_plain(p, frame, until, &clock);
+
                 p = at.p;
                 frame = at.frame;
                 if (frame == until)
@@ -354,6 +371,8 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
             frame->ts = HAS_CLOCK ? clock_advance(&clock, raw, number, stats) : CANSER_NO_TIME;
             if (offsets)
                 offsets[frame - begin] = (int64_t)(base + (uint64_t)(p - data));
+            if (ends)
+                ends[frame - begin] = (int64_t)(base + (uint64_t)(p - data) + found.value);
             frame++;
             p += found.value;
         } while (frame < until);

@@ -4,7 +4,11 @@
  * the caller. Differences of times are taken modulo 2^64, as device times out of noise
  * may be anything.
  */
-#include "protocol.h"
+#include "clock.h"
+
+/* Of the frames of a piece as many may be too early as noise may make false. */
+enum { SAMPLE_RANK = 2 };
+_Static_assert(SAMPLE_RANK < CANSER_LOWEST_MAX, "so many of the lowest are kept");
 
 static int64_t add(int64_t a, int64_t b)
 {
@@ -24,12 +28,11 @@ static int64_t line_time(int64_t bytes, double byte_ns)
 }
 
 int canser_times_arrivals(const canser_piece *pieces, size_t piece_count, double byte_ns,
-                          const int64_t *offsets, size_t count, int64_t end, int64_t reach,
-                          int64_t *arrivals)
+                          const int64_t *at, size_t count, int64_t *arrivals)
 {
-    if (!pieces || !piece_count || (count && (!offsets || !arrivals)))
+    if (!pieces || !piece_count || (count && (!at || !arrivals)))
         return CANSER_NULL;
-    if (misaligned(pieces, _Alignof(canser_piece)) || misaligned(offsets, _Alignof(int64_t)) ||
+    if (misaligned(pieces, _Alignof(canser_piece)) || misaligned(at, _Alignof(int64_t)) ||
         misaligned(arrivals, _Alignof(int64_t)))
         return CANSER_MISALIGNED;
     if (!(byte_ns >= 0))
@@ -41,17 +44,160 @@ int canser_times_arrivals(const canser_piece *pieces, size_t piece_count, double
     int64_t before = INT64_MIN;
 
     for (size_t i = 0; i < count; i++) {
-        const int64_t next = i + 1 < count ? offsets[i + 1] : end;
-        const int64_t reached = add(offsets[i], reach);
-        const int64_t behind = reached < next ? reached : next;
-
-        while (piece.end < behind && pieces < last) {
+        while (piece.end <= at[i] && pieces < last) {
             before = piece.ns;
             piece = *++pieces;
         }
-        const int64_t more = piece.end > behind ? subtract(piece.end, behind) : 0;
+        const int64_t more = piece.end > at[i] ? subtract(piece.end, at[i]) - 1 : 0;
         const int64_t ns = subtract(piece.ns, line_time(more, byte_ns));
         arrivals[i] = ns > before ? ns : before;
+    }
+    return CANSER_OK;
+}
+
+/* The counter that a time of a decoder came from: time = ticks * tick_ns modulo 2^64, and the
+ * counter is ticks modulo 2^32. A unit is an odd number shifted; an odd number has an inverse. */
+typedef struct {
+    uint64_t inverse; /* of the odd number, modulo 2^64 */
+    unsigned shift;
+} unit;
+
+static unit unit_of(int64_t tick_ns)
+{
+    uint64_t odd = (uint64_t)tick_ns, inverse;
+    unsigned shift = 0;
+
+    for (; !(odd & 1); odd >>= 1)
+        shift++;
+    /* Right in the lowest 3 bits (an odd number times itself is 1 modulo 8); each step of Newton
+     * doubles them. */
+    inverse = odd;
+    for (int bits = 3; bits < 64; bits *= 2)
+        inverse *= 2 - odd * inverse;
+    return (unit){inverse, shift};
+}
+
+static uint32_t counter_of(int64_t time, unit unit)
+{
+    return (uint32_t)(((uint64_t)time >> unit.shift) * unit.inverse);
+}
+
+/* Where the counter is expected at a time of the host; `per_tick` is 1 / tick_ns. A product and
+ * not a quotient, which takes longer than all else here; what is lost is far less than a small
+ * step. */
+static uint64_t expect_ticks(const canser_reading *reading, int64_t host, double per_tick)
+{
+    return reading->ticks + (uint64_t)(int64_t)((double)subtract(host, reading->host) * per_tick);
+}
+
+/* The value nearest to `expected` at which a counter shows `raw`. */
+static uint64_t nearest_turn(uint32_t raw, uint64_t expected)
+{
+    return expected + (uint64_t)(int64_t)(int32_t)(raw - (uint32_t)expected);
+}
+
+/* Whether a counter stands at most a small step of clock.h from where it is expected. */
+static bool is_near(uint64_t ticks, uint64_t expected)
+{
+    return ticks - expected + SMALL_STEP <= 2 * (uint64_t)SMALL_STEP;
+}
+
+int canser_times_turns(canser_turns *self, int64_t tick_ns, const int64_t *arrivals, size_t count,
+                       int64_t *times)
+{
+    if (!self || (count && (!arrivals || !times)))
+        return CANSER_NULL;
+    if (misaligned(arrivals, _Alignof(int64_t)) || misaligned(times, _Alignof(int64_t)))
+        return CANSER_MISALIGNED;
+    if (tick_ns < 1)
+        return CANSER_TICK;
+
+    const unit unit = unit_of(tick_ns);
+    const double per_tick = 1.0 / (double)tick_ns;
+    canser_turns turns = *self;
+    for (size_t i = 0; i < count; i++) {
+        const uint32_t raw = counter_of(times[i], unit);
+        canser_reading now = {raw, arrivals[i]};
+
+        if (!turns.started) {
+            turns.started = 1;
+            turns.known = now;
+            times[i] = (int64_t)(now.ticks * (uint64_t)tick_ns);
+            continue;
+        }
+        const uint64_t expected = expect_ticks(&turns.known, now.host, per_tick);
+        now.ticks = nearest_turn(raw, expected);
+        if (is_near(now.ticks, expected)) {
+            turns.known = now;
+            turns.run = 0;
+        } else {
+            /* False, or the clock was set: then the next ones are near this one. */
+            const uint64_t follows = expect_ticks(&turns.last, now.host, per_tick);
+            const uint64_t ticks = nearest_turn(raw, follows);
+            const bool goes_on = turns.run && is_near(ticks, follows);
+
+            if (goes_on)
+                now.ticks = ticks; /* half a turn away either turn is as near */
+            turns.run = goes_on ? turns.run + 1 : 1;
+            turns.last = now;
+            if (turns.run == IN_LINE) {
+                turns.known = now;
+                turns.run = 0;
+            }
+        }
+        times[i] = (int64_t)(now.ticks * (uint64_t)tick_ns);
+    }
+    *self = turns;
+    return CANSER_OK;
+}
+
+/* Put a frame among the lowest of its piece. */
+static void add_lowest(canser_sampler *self, int64_t device, int64_t arrival)
+{
+    const int64_t delay = subtract(arrival, device);
+    size_t at = self->count < CANSER_LOWEST_MAX ? (size_t)self->count : CANSER_LOWEST_MAX;
+
+    self->count++;
+    for (; at; at--) {
+        const canser_sample *const before = &self->lowest[at - 1];
+
+        if (delay >= subtract(before->arrival, before->device))
+            break;
+        if (at < CANSER_LOWEST_MAX)
+            self->lowest[at] = *before;
+    }
+    if (at < CANSER_LOWEST_MAX)
+        self->lowest[at] = (canser_sample){device, arrival, 0};
+}
+
+int canser_times_sample(canser_sampler *self, const canser_piece *pieces, size_t piece_count,
+                        const int64_t *at, size_t count, const int64_t *device,
+                        const int64_t *arrivals, canser_sample *samples, size_t *sample_count)
+{
+    if (!sample_count)
+        return CANSER_NULL;
+    *sample_count = 0;
+    if (!self || !pieces || !piece_count || (count && (!at || !device || !arrivals || !samples)))
+        return CANSER_NULL;
+    if (misaligned(pieces, _Alignof(canser_piece)) || misaligned(at, _Alignof(int64_t)) ||
+        misaligned(device, _Alignof(int64_t)) || misaligned(arrivals, _Alignof(int64_t)) ||
+        misaligned(samples, _Alignof(canser_sample)))
+        return CANSER_MISALIGNED;
+
+    const canser_piece *const last = pieces + piece_count - 1;
+    for (size_t i = 0; i < count; i++) {
+        while (pieces->end <= at[i] && pieces < last)
+            pieces++;
+        if (self->count && pieces->end != self->piece_end) {
+            const uint64_t quarter = self->count / 4;
+            canser_sample *const sample = &samples[(*sample_count)++];
+
+            *sample = self->lowest[quarter < SAMPLE_RANK ? quarter : SAMPLE_RANK];
+            sample->index = (int64_t)i;
+            self->count = 0;
+        }
+        self->piece_end = pieces->end;
+        add_lowest(self, device[i], arrivals[i]);
     }
     return CANSER_OK;
 }

@@ -124,6 +124,29 @@ def output_room(
     return ffi.from_buffer("canser_frame[]", out) + count, len(out) - count, at
 
 
+class FrameRoom:
+    """Room for frames, and for where each begins and ends: checked once, its pointers kept.
+
+    `offsets` and `ends`: int64, as long as `frames`.
+    """
+
+    def __init__(self, frames: FrameArray, offsets: Times, ends: Times) -> None:
+        self.frames, self.offsets, self.ends = frames, offsets, ends
+        self._at = (
+            output_frames(frames),
+            output_offsets(offsets, len(frames)),
+            output_offsets(ends, len(frames)),
+        )
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def between(self, count: int, most: int) -> tuple[Pointer, int, Pointer, Pointer]:
+        """Return where frames go behind the first `count`, until there are `most`."""
+        frames, offsets, ends = self._at
+        return frames + count, most - count, offsets + count, ends + count
+
+
 def output_bytes(out: npt.NDArray[np.uint8]) -> Pointer:
     """Return a pointer to room for bytes; it holds the array."""
     check_array(out, "out", (np.dtype(np.uint8),), "np.empty(n, np.uint8)")

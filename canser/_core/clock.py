@@ -1,31 +1,54 @@
 """Arithmetic on the times of frames: arrivals, and the line from a device's clock to the host's."""
 
+from typing import Final
+
+import numpy as np
+
 from canser._core._lib import ffi, lib
 from canser._core.buffers import OFFSET_DTYPES, Offsets, Times, check_array, raise_status
 
 
-def find_arrivals(
-    pieces: Times, byte_ns: float, offsets: Offsets, arrivals: Times, *, end: int, reach: int
-) -> None:
-    """Set `arrivals` to when the frames at these offsets had come.
+def find_arrivals(pieces: Times, byte_ns: float, at: Offsets, arrivals: Times) -> None:
+    """Set `arrivals` to when the bytes at these offsets had come.
 
     `pieces`: the offset behind each and its time, in turn. See canser_times_arrivals.
     """
-    check_array(offsets, "offsets", OFFSET_DTYPES, "np.empty(n, np.int64)")
-    if len(offsets) != len(arrivals):
-        raise ValueError(f"there are {len(offsets)} offsets for {len(arrivals)} frames")
+    check_array(at, "offsets", OFFSET_DTYPES, "np.empty(n, np.int64)")
+    if len(at) != len(arrivals):
+        raise ValueError(f"there are {len(at)} offsets for {len(arrivals)} frames")
     status = lib.canser_times_arrivals(
         ffi.from_buffer("canser_piece[]", pieces),
         len(pieces) // 2,
         byte_ns,
-        ffi.from_buffer("int64_t[]", offsets),
-        len(offsets),
-        end,
-        reach,
+        ffi.from_buffer("int64_t[]", at),
+        len(at),
         ffi.from_buffer("int64_t[]", arrivals),
     )
     if status:
         raise_status(status)
+
+
+class ClockTurns:
+    """Which turn of its 32-bit counter a device's clock is in, by the host's clock.
+
+    `tick_ns`: the unit of the device's times. See canser_times_turns.
+    """
+
+    def __init__(self, tick_ns: int) -> None:
+        self._tick_ns = tick_ns
+        self._turns = ffi.new("canser_turns *")
+
+    def assign(self, times: Times, arrivals: Times) -> None:
+        """Set device times to the turn that is nearest to the host's clock, in place."""
+        status = lib.canser_times_turns(
+            self._turns,
+            self._tick_ns,
+            ffi.from_buffer("int64_t[]", arrivals),
+            len(times),
+            ffi.from_buffer("int64_t[]", times),
+        )
+        if status:
+            raise_status(status)
 
 
 def find_ranked(values: Times, rank: int) -> tuple[int, int, int]:
@@ -95,3 +118,45 @@ class ClockLine:
         )
         if status:
             raise_status(status)
+
+
+_SAMPLE_DTYPE: Final = np.dtype([("device", "i8"), ("arrival", "i8"), ("index", "i8")])
+assert ffi.sizeof("canser_sample") == _SAMPLE_DTYPE.itemsize
+
+
+class Sampler:
+    """The least late frame of each piece, as a clock learns from. See canser_times_sample."""
+
+    def __init__(self) -> None:
+        self._sampler = ffi.new("canser_sampler *")
+        self._count = ffi.new("size_t *")
+        self._samples = np.empty(0, _SAMPLE_DTYPE)
+
+    def sample(
+        self, pieces: Times, at: Times, device: Times, arrivals: Times
+    ) -> tuple[Times, Times, Times]:
+        """Return device times, arrivals, and where the next piece begins, good until the next call.
+
+        `pieces`: as of `find_arrivals`, and so `at` and `arrivals`.
+        """
+        if len(self._samples) < len(at):
+            self._samples = np.empty(len(at), _SAMPLE_DTYPE)
+        status = lib.canser_times_sample(
+            self._sampler,
+            ffi.from_buffer("canser_piece[]", pieces),
+            len(pieces) // 2,
+            ffi.from_buffer("int64_t[]", at),
+            len(at),
+            ffi.from_buffer("int64_t[]", device),
+            ffi.from_buffer("int64_t[]", arrivals),
+            ffi.from_buffer("canser_sample[]", self._samples),
+            self._count,
+        )
+        if status:
+            raise_status(status)
+        found = self._samples[: self._count[0]]
+        return found["device"], found["arrival"], found["index"]
+
+    def reset(self) -> None:
+        """Forget the piece that the last frame was in."""
+        self._sampler.count = 0

@@ -95,10 +95,10 @@ class Stream:
         if offsets is not None:
             self._offsets, self._offset_cap = ref(offsets), len(offsets)
 
-    def aim_at(self, out: Pointer, cap: int, at: Pointer) -> None:
-        """Tell where frames and offsets go by pointers, which must stay good."""
+    def aim_at(self, out: Pointer, cap: int, at: Pointer, ends: Pointer = ffi.NULL) -> None:
+        """Tell where frames, offsets and ends go by pointers, which must stay good."""
         batch = self._batch
-        batch.frames, batch.frame_cap, batch.offsets = out, cap, at
+        batch.frames, batch.frame_cap, batch.offsets, batch.ends = out, cap, at, ends
         self._out = self._offsets = _nothing
         self._offset_cap = 0
 
@@ -151,6 +151,11 @@ class Stream:
     def position(self) -> int:
         """The stream offset behind all bytes taken."""
         return int(self._stats.bytes_in)
+
+    @property
+    def frames(self) -> int:
+        """Frames so far."""
+        return int(self._stats.frames)
 
     @property
     def skipped(self) -> int:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from canser._core.buffers import (
     BytesLike,
+    FrameRoom,
     Offsets,
     Pointer,
     input_bytes,
@@ -59,6 +60,9 @@ class Stats:
     pending: int  # bytes held: the start of a packet that is not whole yet
     ts_wraps: int  # steps of the device clock forward through zero
     ts_backsteps: int  # steps of the device clock back: a restart, or false frames
+    # Of these, those of more than 2**24 ticks from a clock in line: a restart, a silence of more
+    # than half a turn of the counter, or a false frame. They cannot be told apart.
+    ts_uncertain: int
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rejects", ReadOnlyDict(self.rejects))
@@ -106,6 +110,11 @@ class Decoder(Uncopied):
     def protocol(self) -> str:
         """The protocol's name."""
         return self._protocol.name
+
+    @property
+    def ts_unit(self) -> str:
+        """The unit of the device's timestamps."""
+        return self._ts_unit
 
     def feed(self, data: BytesLike) -> FrameArray:
         """Decode the next bytes; return the frames they complete.
@@ -167,6 +176,33 @@ class Decoder(Uncopied):
             self._keep_controls()
         return count
 
+    def feed_room(self, data: BytesLike, room: FrameRoom, count: int, most: int) -> int:
+        """Decode the next bytes into room behind `count` frames, until it has `most`.
+
+        For this package's own use. Returns the bytes used; `frames` tells how many frames came,
+        whatever exception ends this.
+        """
+        source = input_bytes(data)
+        used = 0
+        with self._lock:
+            while used < len(source) and count < most:
+                self._stream.aim_at(*room.between(count, most))
+                more_count, controls, more = self._stream.feed(source + used, len(source) - used)
+                count += more_count
+                used += more
+                if not controls:
+                    break
+                self._keep_controls()
+        return used
+
+    def flush_room(self, room: FrameRoom, count: int, most: int) -> None:
+        """End the stream as `flush_into` does, into room as `feed_room`."""
+        with self._lock:
+            while self._stream.pending and count < most:
+                self._stream.aim_at(*room.between(count, most))
+                count += self._stream.flush()
+                self._keep_controls()
+
     def reset(self) -> None:
         """Forget everything: counters zero, nothing held, no control packets."""
         with self._lock:
@@ -184,6 +220,11 @@ class Decoder(Uncopied):
     def position(self) -> int:
         """The stream offset behind all bytes taken."""
         return self._stream.position
+
+    @property
+    def frames(self) -> int:
+        """Frames so far: `stats.frames`, without the rest."""
+        return self._stream.frames
 
     @property
     def skipped(self) -> int:
