@@ -41,24 +41,18 @@ def above(device: int, line: tuple[int, int, float]) -> int:
     st.lists(st.tuples(st.integers(0, 40), st.integers(0, S)), min_size=1, max_size=30),
     st.lists(st.integers(1, 25), min_size=1, max_size=60),
     st.sampled_from([0.0, 0.1, 86805.55, 1e9, 1e18]) | st.floats(0, 1e12),
-    st.integers(1, 20),
-    st.integers(0, 30),
 )
-def test_arrivals(
-    steps: list[tuple[int, int]], sizes: list[int], byte_ns: float, reach: int, rest: int
-) -> None:
+def test_arrivals(steps: list[tuple[int, int]], sizes: list[int], byte_ns: float) -> None:
     ends = np.cumsum([0] + [size for size, _ in steps]).tolist()
     times = (EPOCH + np.cumsum([0] + [ns for _, ns in steps])).tolist()
-    offsets = np.cumsum(sizes).tolist()
-    end = offsets[-1] + rest
+    offsets = (np.cumsum(sizes) - 1).tolist()
     arrivals = np.empty(len(offsets), np.int64)
     pieces = array([number for piece in zip(ends, times, strict=True) for number in piece])
-    find_arrivals(pieces, byte_ns, array(offsets), arrivals, end=end, reach=reach)
-    for at, following, arrival in zip(offsets, [*offsets[1:], end], arrivals.tolist(), strict=True):
-        # The byte before this one counts, and it came with the first piece that reaches it.
-        behind = min(following, at + reach)
-        piece = next((k for k, stop in enumerate(ends) if stop >= behind), len(ends) - 1)
-        early = min(int(max(ends[piece] - behind, 0) * byte_ns), MOST)
+    find_arrivals(pieces, byte_ns, array(offsets), arrivals)
+    for at, arrival in zip(offsets, arrivals.tolist(), strict=True):
+        # The byte came with the first piece that reaches behind it.
+        piece = next((k for k, stop in enumerate(ends) if stop > at), len(ends) - 1)
+        early = min(int(max(ends[piece] - at - 1, 0) * byte_ns), MOST)
         assert arrival == max(times[piece] - early, times[piece - 1])
 
 
@@ -143,4 +137,4 @@ def test_ranks_among_many(spread: int) -> None:
 )
 def test_offsets_that_c_must_not_see(offsets: Any, problem: str) -> None:
     with pytest.raises((TypeError, ValueError), match=problem):
-        find_arrivals(array([9, 1]), 1, offsets, np.empty(3, np.int64), end=9, reach=1)
+        find_arrivals(array([9, 1]), 1, offsets, np.empty(3, np.int64))

@@ -1,8 +1,26 @@
 """When bytes came: bytes with their arrival, and the rule that dates the earlier ones of them."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-__all__ = ["DataBlock", "count_back"]
+import numpy as np
+
+from canser._core.buffers import Times
+from canser._core.clock import find_arrivals
+
+__all__ = ["Arrivals", "DataBlock", "count_back"]
+
+# Before all arrivals: the time of the read before the first.
+NEVER_NS: Final = -(2**62)
+
+# A line has no bit rate of its own if its bytes come faster than the rate says by this, in time
+# of the line, as a bucket counts that leaks at the rate. Bytes of a line that keeps its rate
+# fill it only by what was stamped too late: the time that this process waited between a read and
+# the look at the clock, mostly for Python's lock.
+_EXCESS_NS: Final = 100_000_000
+
+# Reads that follow each other as fast take what the system had held: a terminal gives 4 KB a read.
+# Their bytes may all have come since the read before them.
+_DRAIN_NS: Final = 500_000
 
 
 class DataBlock(NamedTuple):
@@ -26,3 +44,117 @@ def count_back(arrival_ns: int, byte_count: int, byte_ns: float, earliest_ns: in
     its bit rate says: `earliest_ns` is when the bytes before had come.
     """
     return max(arrival_ns - int(byte_count * byte_ns), min(earliest_ns, arrival_ns))
+
+
+class Arrivals:
+    """When the bytes of a stream had come, by the reads of a port or the blocks of a recording.
+
+    `byte_ns`: the time of a byte on the line. Terminals over USB without a line behind them,
+    pseudo terminals and sockets name a bit rate, too, and keep to none. Where reads hold more
+    bytes than can have come since those before, the rate is disproved: from the first such read
+    on nothing is counted back.
+    """
+
+    def __init__(self, byte_ns: float) -> None:
+        self._byte_ns = byte_ns
+        # The offset behind each read, and its time. The first one holds no byte that is still
+        # asked for: it tells when the next one began.
+        self._rows = np.empty((64, 2), np.int64)
+        self._begin, self._end = 0, 1
+        self._rows[0] = 0, NEVER_NS
+        self._excess_ns = 0.0
+        self._starts = True  # nothing is known of when the next read may have begun
+        self.unrated_from: int | None = None  # the offset from which on nothing is counted back
+
+    @property
+    def end(self) -> int:
+        """The offset behind all that has arrived."""
+        return int(self._rows[self._end - 1, 0])
+
+    @property
+    def last_ns(self) -> int:
+        """When the last of it had arrived."""
+        return int(self._rows[self._end - 1, 1])
+
+    def add(self, end: int, ns: int) -> None:
+        """Take note that the bytes up to offset `end` had come by `ns`, epoch nanoseconds.
+
+        In order; a time before that of the last read counts as that.
+        """
+        if self._end == len(self._rows):
+            self._make_room(1)
+        before_end, before_ns = self._rows[self._end - 1].tolist()
+        ns = max(ns, before_ns)
+        self._rows[self._end] = end, ns
+        self._end += 1
+        if self.unrated_from is not None:
+            return
+        if self._starts:
+            self._starts = False
+            return
+        if ns - before_ns > _DRAIN_NS:
+            self._excess_ns = max(self._excess_ns, 0.0)
+        self._excess_ns += (end - before_end) * self._byte_ns - (ns - before_ns)
+        if self._excess_ns > _EXCESS_NS:
+            self.unrated_from = before_end
+
+    def extend(self, ends: Times, times: Times) -> None:
+        """Take note of several reads, as `add` does of one."""
+        if not len(ends):
+            return
+        if self._starts:
+            self.add(int(ends[0]), int(times[0]))
+            ends, times = ends[1:], times[1:]
+        count = len(ends)
+        if len(self._rows) - self._end < count:
+            self._make_room(count)
+        rows = self._rows[self._end - 1 : self._end + count]
+        rows[1:, 0] = ends
+        rows[1:, 1] = times
+        np.maximum.accumulate(rows[:, 1], out=rows[:, 1])
+        self._end += count
+        if self.unrated_from is not None or not count:
+            return
+        # What `add` does one by one: a sum that is raised to zero wherever time has passed.
+        steps = np.diff(rows, axis=0)
+        total = self._excess_ns + np.cumsum(steps[:, 0] * self._byte_ns - steps[:, 1])
+        before = np.append(self._excess_ns, total[:-1])
+        raised = np.where(steps[:, 1] > _DRAIN_NS, np.minimum(before, 0.0), 0.0)
+        excess = total - np.minimum.accumulate(raised)
+        over = np.flatnonzero(excess > _EXCESS_NS)
+        if len(over):
+            self.unrated_from = int(rows[over[0], 0])
+        self._excess_ns = float(excess[-1])
+
+    def gap(self) -> None:
+        """Take note that the stream was interrupted: the next read may hold bytes of any age."""
+        self._excess_ns, self._starts = 0.0, True
+
+    def find(self, at: Times, times: Times) -> None:
+        """Set `times` to when the bytes at these offsets had come; they are in ascending order."""
+        pieces = self.pieces
+        rated = len(at)
+        if self.unrated_from is not None:
+            rated = int(at.searchsorted(self.unrated_from))
+        if rated:
+            find_arrivals(pieces, self._byte_ns, at[:rated], times[:rated])
+        if rated < len(at):
+            find_arrivals(pieces, 0.0, at[rated:], times[rated:])
+
+    @property
+    def pieces(self) -> Times:
+        """The offset behind each read that is kept and its time, in turn."""
+        return self._rows[self._begin : self._end].reshape(-1)
+
+    def forget_before(self, offset: int) -> None:
+        """Forget the reads that hold no byte from this offset on, all but the last of them."""
+        ends = self._rows[self._begin : self._end, 0]
+        self._begin += max(int(ends.searchsorted(offset, "right")) - 1, 0)
+
+    def _make_room(self, count: int) -> None:
+        kept = self._rows[self._begin : self._end]
+        rows = self._rows
+        if 2 * (len(kept) + count) > len(rows):
+            rows = np.empty((4 * (len(kept) + count), 2), np.int64)
+        rows[: len(kept)] = kept.copy()
+        self._rows, self._begin, self._end = rows, 0, len(kept)

@@ -2,9 +2,9 @@
 
 Bytes come in pieces: one read of the port each, with the host's time behind it. So two
 things are known of a byte: its piece was there at that time, and the line needs a byte
-time for each byte that came behind it in the piece. That gives its arrival: never earlier
-than the truth as long as the line is no faster than `byte_ns` says, and late by as long
-as the adapter, the driver and the host kept the piece back. It is never put before the
+time for each byte that came behind it in the piece. That gives its arrival (arrivals.py):
+never earlier than the truth as long as the line is no faster than `byte_ns` says, and late by
+as long as the adapter, the driver and the host kept the piece back. It is never put before the
 arrival of the piece before, so that arrivals never go backwards.
 
 A format without a clock has these times only: a frame's time is the arrival of its last byte.
@@ -19,10 +19,12 @@ A delay is milliseconds as a rule, and seconds when the host was busy and bytes 
 but in every second some frames come through at once. So the lower envelope is the
 estimate, and late frames do not matter to it:
 
-- Frames are gathered into *buckets* of a second. A bucket gives one *point*: its third
-  lowest difference (of equal ones the first counts as the lowest), because a false frame out of
-  noise may be lower than all true ones. Differences over a minute from the bucket's median are
-  false frames', and left out.
+- Each piece gives one *sample*: its frame with the third lowest difference (canser_times_sample),
+  because a false frame out of noise may be lower than all true ones. So a burst on a line that
+  is faster than `byte_ns` says, whose first frames seem to come too early, is one sample.
+- Samples are gathered into *buckets* of a second. A bucket gives one *point*: again its third
+  lowest difference (of equal ones the first counts as the lowest). Differences over a minute
+  from the bucket's median are false frames', and left out.
 - The *line* lies below the points of the last minutes. The slope is the median over pairs of
   points a quarter window apart, so one jump of the clock touches at most a third of the pairs.
   Until there is half a minute of points, and as long as the slopes do not agree, the slope is
@@ -30,8 +32,11 @@ estimate, and late frames do not matter to it:
 - The points start over when half a minute of them lies 20 ms above the line: the device's clock
   had stood still. And so they do at a *restart*: a bucket whose device times lie before those
   of the bucket before, or more than a minute off the line.
-- To have an estimate after a few frames, the buckets of the first second are of 4 frames, then
+- To have an estimate after a few frames, the buckets of the first second are of 4 samples, then
   of as many as there have been; and so again after a gap.
+
+A counter of 32 bits tells the device's time but for whole turns. The arrival tells the turn
+(canser_times_turns): so neither a silence nor false times put a clock a turn off.
 
 The estimate that maps a frame is that of the buckets before its own. A frame keeps its
 arrival where the mapped time is impossible (10 ms after the arrival, or more), implausible
@@ -52,7 +57,7 @@ only (a float64 of epoch nanoseconds resolves 256 ns).
 
 from collections import deque
 from dataclasses import dataclass
-from itertools import chain, pairwise
+from itertools import pairwise
 from statistics import median
 from typing import Final
 
@@ -60,17 +65,15 @@ import numpy as np
 import numpy.typing as npt
 
 from canser._core.buffers import Times
-from canser._core.clock import ClockLine, find_arrivals, find_lowest, find_ranked
+from canser._core.clock import ClockLine, ClockTurns, Sampler, find_lowest, find_ranked
 from canser._frames import FrameArray
 from canser._protocols import TS_UNITS
+from canser.timing.arrivals import NEVER_NS, Arrivals
 
 __all__ = ["ClockEstimate", "FrameClock"]
 
 _MS_NS: Final = 1_000_000
 _S_NS: Final = 1_000 * _MS_NS
-
-# Before all arrivals: the time of the piece before the first.
-_NEVER_NS: Final = -(2**62)
 
 # How far a mapped time may lie behind the arrival, or a device time before those of the last
 # bucket, before it is taken for wrong: over what the least delay differs by from one second
@@ -86,8 +89,8 @@ _LONGEST_QUEUE_NS: Final = 60 * _S_NS
 _LONGEST_QUEUE_UNPROVEN_NS: Final = 2 * _S_NS
 
 _BUCKET_NS: Final = _S_NS
-_BUCKET_FRAMES: Final = 8  # at least; the third lowest of fewer is no low one
-_FIRST_FRAMES: Final = 4
+_BUCKET_SAMPLES: Final = 8  # at least; the third lowest of fewer is no low one
+_FIRST_SAMPLES: Final = 4
 
 _WINDOW_POINTS: Final = 300  # five minutes of a busy bus, in which crystals are steady
 _STUCK_POINTS: Final = 30  # in a row above the line: no queue lasts as long
@@ -115,7 +118,7 @@ class ClockEstimate:
     `offset_ns`: host time less device time, now. `drift_ppm`: by how much the device's
     clock is faster than the host's; 0 as long as it is not known. `jitter_ns`: half of the
     last frames were late by no more than this, as compared to the quickest. `frames`: how
-    many the estimate rests on. `restarts`: how often the device's clock jumped.
+    many the estimate rests on, one of each read. `restarts`: how often the device's clock jumped.
     """
 
     offset_ns: int
@@ -128,70 +131,64 @@ class ClockEstimate:
 class FrameClock:
     """Sets the times of one stream's frames to host times, in epoch nanoseconds.
 
-    `clocked`: the format has device times. `byte_ns`: what a byte takes on the line,
-    10 bits at the baud rate; 0 if the line has none. `frame_max`: bytes of the longest frame.
+    `tick_ns`: the unit of the times that come with the frames, of a counter of 32 bits; None for a
+    format without a clock. `byte_ns`: what a byte takes on the line, 10 bits at the baud rate; 0
+    if the line has none. With `device_time` frames keep the times of the device's clock, and the
+    host's clock only tells the turn of the counter.
 
-    The same pieces and frames give the same times wherever `assign_times` calls are cut, with
-    one exception: where noise or a control packet follows the last frame of a call, a frame
-    without a device time may have a time later by up to `frame_max` bytes.
-
-    One thread may call `add_arrival` and `gap`, and another one `assign_times`.
+    The same reads and frames give the same times wherever `assign_times` calls are cut.
     """
 
-    def __init__(self, clocked: bool, byte_ns: float, frame_max: int) -> None:
-        self._byte_ns = byte_ns
-        self._clock = _DeviceClock() if clocked else None
-        # A frame's time is that of its first byte, or of its last one: there, noise or a control
-        # packet may lie between a frame and the next.
-        self._reach = 1 if clocked else frame_max
-        # Pieces by the offset behind them and their time. The first one holds no bytes
-        # that are still of interest: it only tells when the next one began.
-        self._pieces: list[tuple[int, int]] = [(0, _NEVER_NS)]
-        self._gaps: deque[int] = deque()
-        self._times = np.empty(0, np.int64)
+    def __init__(self, tick_ns: int | None, byte_ns: float, *, device_time: bool = False) -> None:
+        self.arrivals = Arrivals(byte_ns)
+        self._turns = None if tick_ns is None else ClockTurns(tick_ns)
+        self._clock = None if tick_ns is None or device_time else _DeviceClock()
+        self._device_time = device_time
+        self._relearns = False  # the line had no bit rate of its own: the clock was told
+        self._times = np.empty((2, 0), np.int64)
 
-    def add_arrival(self, end: int, ns: int) -> None:
-        """Take note that the bytes up to offset `end` had come by `ns`, epoch nanoseconds.
-
-        Once for each read, in order; a time before that of the last piece counts as that.
-        """
-        self._pieces.append((end, max(ns, self._pieces[-1][1])))
+    @property
+    def by_begin(self) -> bool:
+        """Whether a frame's time is that of its first byte, not of its last one."""
+        return self._turns is not None
 
     def gap(self) -> None:
         """Take note that behind all that has arrived the stream was interrupted.
 
-        The device may have been another one meanwhile: its clock has to prove itself again.
+        All frames before have their times. The device may have been another one meanwhile: its
+        clock has to prove itself again.
         """
+        self.arrivals.gap()
         if self._clock is not None:
-            self._gaps.append(self._pieces[-1][0])
+            self._clock.gap()
 
-    def assign_times(self, frames: FrameArray, offsets: Times, end: int) -> None:
+    def assign_times(self, frames: FrameArray, at: Times, end: int) -> None:
         """Set `frames["ts"]`, in place.
 
-        `frames`: FRAME_DTYPE, shape (n,), with device times in nanoseconds if the format has
-        them. `offsets`: int64, shape (n,), where each begins in the stream. `end`: the offset
-        behind the last packet decoded; what arrived before it is forgotten. ValueError if
-        that lies behind all that has arrived.
+        `frames`: FRAME_DTYPE, shape (n,), with the decoder's times if the format has any. `at`:
+        int64, shape (n,), the offset of the byte whose time counts: the first one of a frame that
+        comes with a time, else the last one. `end`: the offset behind the last packet decoded;
+        what arrived before it is forgotten. ValueError if that lies behind all that has arrived.
         """
-        # A copy: the other thread may append.
-        pieces = self._pieces.copy()
-        if end > pieces[-1][0]:
+        arrivals = self.arrivals
+        if end > arrivals.end:
             raise ValueError(
-                f"frames end at offset {end}, but bytes have arrived up to {pieces[-1][0]} only; "
-                "call add_arrival() first"
+                f"frames end at offset {end}, but bytes have arrived up to {arrivals.end} only; "
+                "tell of the arrivals first"
             )
-        # A quarter of the time that np.array takes for tuples.
-        known = np.fromiter(chain.from_iterable(pieces), np.int64, 2 * len(pieces))
-        if len(frames):
-            if len(self._times) < len(frames):
-                self._times = np.empty(len(frames), np.int64)
-            times = self._times[: len(frames)]
-            find_arrivals(known, self._byte_ns, offsets, times, end=end, reach=self._reach)
+        count = len(frames)
+        if count:
+            if self._times.shape[1] < count:
+                self._times = np.empty((2, count), np.int64)
+            device, times = self._times[:, :count]
+            arrivals.find(at, times)
+            if self._turns is not None:
+                device[:] = frames["ts"]
+                self._turns.assign(device, times)
             if self._clock is not None:
-                self._map(self._clock, frames["ts"], offsets, times)
-            frames["ts"] = times
-        gone = int(known[::2].searchsorted(end, "right")) - 1
-        del self._pieces[: max(gone, 0)]
+                self._map(self._clock, at, device, times)
+            frames["ts"] = device if self._device_time else times
+        arrivals.forget_before(end)
 
     @property
     def estimate(self) -> ClockEstimate | None:
@@ -203,29 +200,33 @@ class FrameClock:
         """What is wrong with the device's clock, so that frames have arrival times; or None."""
         return None if self._clock is None else self._clock.remark
 
-    def _map(self, clock: "_DeviceClock", device: Times, offsets: Times, times: Times) -> None:
-        """Turn arrivals into host times, gaps before and between the frames heeded."""
-        done = 0
-        while self._gaps and self._gaps[0] <= offsets[-1]:
-            stop = int(np.searchsorted(offsets, self._gaps.popleft()))
-            clock.follow(device[done:stop], times[done:stop])
-            clock.gap()
-            done = stop
-        clock.follow(device[done:], times[done:])
+    def _map(self, clock: "_DeviceClock", at: Times, device: Times, times: Times) -> None:
+        """Turn arrivals into host times."""
+        pieces, begin = self.arrivals.pieces, 0
+        unrated = self.arrivals.unrated_from
+        if unrated is not None and not self._relearns:
+            begin = int(at.searchsorted(unrated))
+            clock.follow(pieces, at[:begin], device[:begin], times[:begin])
+            if begin == len(at):
+                return
+            # What was learned from arrivals that were counted back may be too early.
+            self._relearns = True
+            clock.relearn()
+        clock.follow(pieces, at[begin:], device[begin:], times[begin:])
 
 
 class _Bucket:
-    """Frames by which a clock is estimated: device times and arrivals.
+    """Samples by which a clock is estimated: device times and arrivals.
 
-    Its arrays are kept for the next ones: fresh memory costs more than all the rest.
+    Its arrays are kept for the next ones.
     """
 
     def __init__(self) -> None:
         self.count = 0
         self._rows = np.empty((3, 256), np.int64)
 
-    def add(self, device: Times, arrivals: Times) -> Times:
-        """Take frames; return their device times as they lie here."""
+    def add(self, device: Times, arrivals: Times) -> None:
+        """Take samples."""
         begin, self.count = self.count, self.count + len(device)
         if self.count > self._rows.shape[1]:
             # In large steps: pages that are not written to take no memory, and copies do.
@@ -234,7 +235,6 @@ class _Bucket:
             self._rows = rows
         self._rows[0, begin : self.count] = device
         self._rows[1, begin : self.count] = arrivals
-        return self._rows[0, begin : self.count]
 
     def take(self) -> tuple[Times, Times, Times]:
         """Empty it; return device times, arrivals, and their differences, good until `add`."""
@@ -249,13 +249,14 @@ class _DeviceClock:
     def __init__(self) -> None:
         self.estimate: ClockEstimate | None = None
         self.remark: str | None = None
-        self._line = ClockLine(_TOLERANCE_NS, _NEVER_NS)
+        self._line = ClockLine(_TOLERANCE_NS, NEVER_NS)
+        self._sampler = Sampler()
         self._bucket = _Bucket()
         self._opened = 0  # when it began
         # Buckets are short until a second has passed since the first one, or the first after a gap.
         self._settled = False
         self._since: int | None = None
-        self._tried = 0  # frames since then
+        self._tried = 0  # samples since then
         # Of the frame that was a bucket's minimum: device time, arrival, and their difference.
         self._points = np.empty((3, 0), np.int64)
         self._frames = 0  # in the buckets of these points, and before them
@@ -269,30 +270,47 @@ class _DeviceClock:
         self._longest_queue = _LONGEST_QUEUE_UNPROVEN_NS
         self._restarts = 0
 
-    def follow(self, device: Times, times: Times) -> None:
-        """Turn the arrivals of the next frames into host times, in place, and learn from them."""
-        start = 0
-        while start < len(times):
+    def follow(self, pieces: Times, at: Times, device: Times, times: Times) -> None:
+        """Turn the arrivals of the next frames into host times, in place, and learn from them.
+
+        `pieces`, `at`: where the reads end and the frames begin, as `Sampler.sample` takes them.
+        """
+        known, arrived, behind = self._sampler.sample(pieces, at, device, times)
+        done = used = 0
+        while used < len(known):
             if not self._bucket.count:
-                self._opened = int(times[start])
-            # A bucket's last frame is the first one with enough frames and enough time.
-            second = int(times[start:].searchsorted(self._opened + _BUCKET_NS)) + 1
-            left = max(_BUCKET_FRAMES - self._bucket.count, second)
+                self._opened = int(arrived[used])
+            # A bucket's last sample is the first one with enough samples and enough time.
+            second = int(arrived[used:].searchsorted(self._opened + _BUCKET_NS)) + 1
+            left = max(_BUCKET_SAMPLES - self._bucket.count, second)
             if not self._settled:
-                left = min(left, max(_FIRST_FRAMES, self._tried) - self._bucket.count)
-            part = slice(start, start + left)
-            held = self._bucket.add(device[part], times[part])
-            if self._host is None:
-                self._line.floor_at(int(times[part][-1]))
-            else:
-                self._line.map(held, times[part], self._reached, self._longest_queue)
-            if len(held) == left:
+                left = min(left, max(_FIRST_SAMPLES, self._tried) - self._bucket.count)
+            part = slice(used, min(used + left, len(known)))
+            self._bucket.add(known[part], arrived[part])
+            used += left
+            if used <= len(known):
+                # The estimate that maps a frame is that of the samples that came before it.
+                stop = int(behind[used - 1])
+                self._map(device[done:stop], times[done:stop])
+                done = stop
                 self._close()
-            start += left
+        self._map(device[done:], times[done:])
+
+    def _map(self, device: Times, times: Times) -> None:
+        if self._host is not None:
+            self._line.map(device, times, self._reached, self._longest_queue)
+        elif len(times):
+            self._line.floor_at(int(times[-1]))
+
+    def relearn(self) -> None:
+        """Start the estimate over."""
+        self.gap()
+        self._forget()
 
     def gap(self) -> None:
         """Doubt what is known: the line stays if the next frames agree with it."""
         self._bucket.count = 0  # it may be too small to tell anything
+        self._sampler.reset()
         self._middles.clear()
         self._longest_queue = _LONGEST_QUEUE_UNPROVEN_NS
         self._settled = False

@@ -1,0 +1,95 @@
+"""The loop from the bytes of a line, with arrivals and gaps, to frames with host times."""
+
+import numpy as np
+
+from canser._core.buffers import BytesLike, FrameRoom, Offsets, Times
+from canser._core.table import find_protocol
+from canser._frames import FRAME_DTYPE, FrameArray
+from canser._protocols import tick_ns
+from canser.codec.decoder import Decoder
+from canser.timing.clocks import FrameClock
+
+__all__ = ["TimedDecoder"]
+
+
+class TimedDecoder:
+    """Decodes one stream of timed bytes into arrays that its owner gives.
+
+    The owner tells `clock.arrivals` when bytes have come, gives these bytes to `feed`, calls
+    `flush` and `gap` where bytes are missing, and `assign_times` before it takes frames. What
+    comes out does not depend on how bytes are cut into calls, nor on the size of the arrays.
+
+    `byte_ns`: what a byte takes on the line. With `device_time` frames keep the times of the
+    device's clock. No exception, of Ctrl-C either, loses a frame: `count` tells how many frames
+    the array has. For one thread at a time.
+    """
+
+    def __init__(self, decoder: Decoder, byte_ns: float, *, device_time: bool = False) -> None:
+        self.decoder = decoder
+        clocked = find_protocol(decoder.protocol).has_clock
+        self.clock = FrameClock(
+            tick_ns(decoder.ts_unit) if clocked else None, byte_ns, device_time=device_time
+        )
+        self._scratch = np.empty((2, 0), np.int64)
+        self.use(np.empty(1, FRAME_DTYPE))
+
+    def use(self, frames: FrameArray, offsets: Offsets | None = None, *, kept: int = 0) -> None:
+        """Put the next frames into an array, behind `kept` frames that are finished.
+
+        `offsets`: int64 or uint64, as long as `frames`: where each frame begins in the stream.
+        """
+        if self._scratch.shape[1] < len(frames):
+            self._scratch = np.empty((2, len(frames)), np.int64)
+        begins, ends = self._scratch[:, : len(frames)]
+        if offsets is not None:
+            begins = offsets.view(np.int64)
+        self._room = FrameRoom(frames, begins, ends)
+        self.restart(kept)
+
+    def restart(self, kept: int = 0) -> None:
+        """Put the next frames into the same array, behind `kept` frames that are finished."""
+        self._begin = self.decoder.frames - kept  # the array's first frame in the stream
+        self._timed = kept
+
+    @property
+    def count(self) -> int:
+        """The frames in the array."""
+        return self.decoder.frames - self._begin
+
+    @property
+    def untimed(self) -> int:
+        """How many of them, the last ones, have no times yet."""
+        return self.count - self._timed
+
+    @property
+    def border(self) -> int:
+        """The stream offset behind the last packet that was decoded."""
+        return self.decoder.position - self.decoder.pending
+
+    def feed(self, data: BytesLike, most: int) -> int:
+        """Decode bytes until the array has `most` frames; return how many bytes were used."""
+        return self.decoder.feed_room(data, self._room, self.count, most)
+
+    def flush(self, most: int) -> None:
+        """End the packet that is held, and decode the rest of its bytes until there are `most`.
+
+        Again with more room while `decoder.pending` is not 0.
+        """
+        self.decoder.flush_room(self._room, self.count, most)
+
+    def gap(self) -> None:
+        """Go on behind a gap. What was held before it is flushed."""
+        self.assign_times()
+        self.clock.gap()
+
+    def assign_times(self) -> None:
+        """Give the frames that have none their times."""
+        room, new = self._room, slice(self._timed, self.count)
+        at: Times
+        if self.clock.by_begin:
+            at = room.offsets[new]
+        else:
+            at = room.ends[new]
+            at -= 1  # the last byte of each
+        self._timed = new.stop
+        self.clock.assign_times(room.frames[new], at, self.border)
