@@ -138,13 +138,13 @@ def test_who_waits_for_the_last_frame_rests(monkeypatch: pytest.MonkeyPatch) -> 
     with plugged() as (device, port):
         device.feed(canser.encode(frames, "seeed"))
         looks: list[int] = []
-        decode_into = port._stream.decode_into
+        decode = port._stream.decode
 
-        def look(room: FrameArray, count: int) -> int:
-            looks.append(decode_into(room, count))
+        def look(most: int) -> int:
+            looks.append(decode(most))
             return looks[-1]
 
-        monkeypatch.setattr(port._stream, "decode_into", look)
+        monkeypatch.setattr(port._stream, "decode", look)
         got = port.read_batch(max_frames=5000, min_frames=len(frames) + 1, timeout=0.5)
         assert content(got) == content(frames)
         assert len([count for count in looks if count == len(frames)]) < 50
@@ -307,13 +307,13 @@ def test_an_interrupt_right_behind_the_decoder_loses_no_frame(
         raw = canser.encode(frames, "seeed")
         device.feed(raw)
         until(lambda: waiting(port) == len(raw))
-        feed_into = port.decoder.feed_into
+        feed_room = port.decoder.feed_room
 
-        def feed_and_stop(*args: Any) -> tuple[int, int]:
-            feed_into(*args)
+        def feed_and_stop(*args: Any) -> int:
+            feed_room(*args)
             raise StopError
 
-        monkeypatch.setattr(port.decoder, "feed_into", feed_and_stop)
+        monkeypatch.setattr(port.decoder, "feed_room", feed_and_stop)
         for room in (10, 20, 30):
             with pytest.raises(StopError):
                 port.read_batch(max_frames=room)

@@ -20,7 +20,7 @@ from canser._checks import flag, instance, text, whole
 from canser._checks import timeout as check_timeout
 from canser._core.buffers import BytesLike, as_bytes, input_frames, output_frames
 from canser._core.table import find_protocol
-from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_records
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records
 from canser._guards import Uncopied
 from canser._items import FrameItems
 from canser._items import frames as make_frames
@@ -31,8 +31,9 @@ from canser.live.config import LineConfig, adapter_config
 from canser.live.line import Line, open_line
 from canser.live.reader import NO_MORE, LineReader
 from canser.live.ring import Gap, Ring
-from canser.live.stream import LiveStream, OnBytes
-from canser.timing.clocks import ClockEstimate, FrameClock
+from canser.live.stream import LiveStream, OnBytes, Watchdog
+from canser.timing.clocks import ClockEstimate
+from canser.timing.loop import TimedDecoder
 
 __all__ = ["Gap", "Port", "PortInfo", "list_ports", "open"]
 
@@ -44,8 +45,8 @@ _BYTE_BITS: Final = 10
 # The pause after a configuration that the adapter's document asks for.
 _SETTLE_S: Final = 0.1
 
-# Frames come soon if they are due within this time, at the rate of those before.
-_SOON_S: Final = 0.02
+# Frames that a call which waits for a status decodes at once, for later reads.
+_AHEAD: Final = 4096
 
 # A call that waits for a status reads for this time, and then lets other threads read.
 _TURN_S: Final = 0.02
@@ -176,20 +177,7 @@ class Port(Uncopied):
             raise ValueError(
                 f"ring_size is {line.ring_size}; it must be bytes that the system has memory for"
             ) from None
-        frame_clock = FrameClock(row.has_clock, _BYTE_BITS * 1e9 / self.baudrate, row.frame_max)
-        self._ping_s = line.ping or 0.0
-        self._stream = LiveStream(
-            url,
-            self._ring,
-            decoder,
-            frame_clock,
-            on_bytes=on_bytes,
-            ping_s=self._ping_s,
-            device_time=device_time,
-        )
         self._reading = threading.RLock()
-        # Decoded in a call that returned no frames: an exception, or the wait for a status.
-        self._pending_frames: deque[FrameArray] = deque()
         self._held = False  # what `hold_ready` was told
         # Nothing in the thread may hold the port: it would never be collected.
         self._connect = _Connect(url, line, config_packet)
@@ -201,7 +189,19 @@ class Port(Uncopied):
             byte_s=_BYTE_BITS / self.baudrate,
             reconnect=reconnect,
             heartbeat=row.ping if line.ping is not None else b"",
-            heartbeat_s=self._ping_s,
+            heartbeat_s=line.ping or 0.0,
+        )
+        self._watchdog: Watchdog | None = None
+        if line.ping is not None:
+            # Of the reader alone: the stream must not hold the port.
+            reader = self._reader
+            self._watchdog = Watchdog(line.ping, self._clock, lambda: reader.last_heartbeat)
+        self._stream = LiveStream(
+            url,
+            self._ring,
+            TimedDecoder(decoder, _BYTE_BITS * 1e9 / self.baudrate, device_time=device_time),
+            on_bytes=on_bytes,
+            watchdog=self._watchdog,
         )
         self._closed = False
 
@@ -244,19 +244,24 @@ class Port(Uncopied):
         returns what this one had.
         """
         self._check_open()
-        room = self._check_room(out, max_frames)
-        if not 0 <= whole(min_frames, "min_frames", "1") <= len(room):
-            raise ValueError(f"min_frames is {min_frames}; it must be 0 to {len(room)}, the room")
+        if out is None:
+            room = whole(max_frames, "max_frames", "4096", least=1)
+        else:
+            output_frames(out)
+            room = len(out)
+        if not 0 <= whole(min_frames, "min_frames", "1") <= room:
+            raise ValueError(f"min_frames is {min_frames}; it must be 0 to {room}, the room")
         deadline = _deadline(timeout)
-        count = 0
-        if self._take_turn(deadline):
-            try:
-                count = self._read_into(room, min_frames, deadline)
-            finally:
-                self._reading.release()
-        batch = room[:count]
-        # A batch that is far from full would hold memory that is not used.
-        return copy_records(batch) if out is None and count < len(room) // 2 else batch
+        if not self._take_turn(deadline):
+            return np.empty(0, FRAME_DTYPE) if out is None else out[:0]
+        try:
+            count = self._stream.read(room, min_frames, deadline)
+            batch = np.empty(min(count, room), FRAME_DTYPE) if out is None else out[:count]
+            self._stream.take_into(batch)
+            return batch
+        finally:
+            self._hold_signal()
+            self._reading.release()
 
     def batches(
         self, *, max_frames: int = 4096, timeout: float = 0.05, out: FrameArray | None = None
@@ -325,7 +330,10 @@ class Port(Uncopied):
     def hold_ready(self, held: bool) -> None:
         """Keep that descriptor readable, for a caller who has frames left to hand on."""
         self._held = held
-        self._ring.hold_ready(held or bool(self._pending_frames))
+        self._hold_signal()
+
+    def _hold_signal(self) -> None:
+        self._ring.hold_ready(self._held or self._stream.ready > 0)
 
     def take_controls(self) -> list[Control]:
         """Return the control packets since the last call, oldest first: offset and bytes.
@@ -359,7 +367,7 @@ class Port(Uncopied):
 
         With `device_time` nothing is.
         """
-        return self._stream.frame_clock.estimate
+        return self._stream.loop.clock.estimate
 
     @property
     def status(self) -> AdapterReport | None:
@@ -505,8 +513,10 @@ class Port(Uncopied):
             # Another thread that reads finds the answer, too.
             if self._take_turn(_sooner(deadline, _TURN_S)):
                 try:
-                    self._read_ahead(_sooner(deadline, _TURN_S))
+                    ready = self._stream.ready
+                    self._stream.read(ready + _AHEAD, ready + 1, _sooner(deadline, _TURN_S))
                 finally:
+                    self._hold_signal()
                     self._reading.release()
         return status
 
@@ -538,118 +548,6 @@ class Port(Uncopied):
         """Become the thread that reads; False after the deadline."""
         left = -1.0 if deadline is None else max(deadline - time.monotonic(), 0)
         return self._reading.acquire(timeout=left)
-
-    def _read_into(self, room: FrameArray, min_frames: int, deadline: float | None) -> int:
-        """Read as `read_batch` does, return how many frames `room` has then."""
-        count = self._stream.filled = self._take_pending(room)
-        begin, start = time.monotonic(), self.decoder.position
-        try:
-            while True:
-                self._watch()
-                count = self._stream.decode_into(room, count)
-                if count >= min_frames:
-                    return count
-                error = self._end_error()
-                if error is not None:
-                    count = self._stream.end_into(room, count)
-                    if count:
-                        return count
-                    raise error
-                missing, came = min_frames - count, self.decoder.position - start
-                if came and count:
-                    # Where all will be there soon, wait for the bytes that they have on average:
-                    # waking for the fewest that may do would be many times for nothing.
-                    now = time.monotonic()
-                    soon = now + (now - begin) * missing / count
-                    if (
-                        soon < now + _SOON_S
-                        and (deadline is None or soon < deadline)
-                        and self._wait(max(missing * came // count, 1), soon)
-                    ):
-                        continue
-                wanted = missing * self._frame_min - self.decoder.pending
-                if not self._wait(max(wanted, 1), deadline):
-                    # Less than was hoped for may still be some.
-                    return self._stream.decode_into(room, count)
-        except BaseException:
-            self._keep_pending(room, first=True)
-            raise
-
-    def _read_ahead(self, deadline: float) -> None:
-        """Wait for bytes and decode them, for later reads."""
-        room = np.empty(4096, FRAME_DTYPE)
-        self._stream.filled = 0
-        try:
-            self._watch()
-            if not self._stream.decode_into(room, 0):
-                error = self._end_error()
-                if error is not None:
-                    raise error
-                self._wait(1, deadline)
-        finally:
-            self._keep_pending(room, first=False)
-
-    def _keep_pending(self, room: FrameArray, *, first: bool) -> None:
-        """Keep the frames that were decoded into `room` for the next read."""
-        if self._stream.filled:
-            frames = copy_records(room[: self._stream.filled])
-            if first:
-                self._pending_frames.appendleft(frames)
-            else:
-                self._pending_frames.append(frames)
-            self._ring.hold_ready(True)
-
-    def _end_error(self) -> Exception | None:
-        """Return what has ended the stream, if all that came before is taken."""
-        error = self._ring.error
-        if error is None:
-            return None
-        # A new one: it may be raised again and again, in several threads.
-        if isinstance(error, PortError):
-            return type(error)(str(error))
-        return PortError(f"{self.url}: {type(error).__name__} {error}".rstrip())
-
-    def _check_room(self, out: FrameArray | None, max_frames: int) -> FrameArray:
-        if out is not None:
-            output_frames(out)
-            return out
-        count = whole(max_frames, "max_frames", "4096", least=1)
-        try:
-            return np.empty(count, FRAME_DTYPE)
-        except (MemoryError, ValueError):  # ValueError: numpy counts no further
-            raise ValueError(
-                f"max_frames is {count}; it must be frames that the system has memory for"
-            ) from None
-
-    def _take_pending(self, room: FrameArray) -> int:
-        """Move frames that were decoded earlier into `room`; return how many."""
-        count = 0
-        while self._pending_frames and count < len(room):
-            frames = self._pending_frames.popleft()
-            fits = min(len(frames), len(room) - count)
-            put_records(room[count : count + fits], frames[:fits])
-            count += fits
-            if fits < len(frames):
-                self._pending_frames.appendleft(frames[fits:])
-        if count and not self._pending_frames:
-            self._ring.hold_ready(self._held)
-        return count
-
-    def _watch(self) -> None:
-        """See whether the watchdog's ping comes back."""
-        if self._ping_s:
-            self._stream.watch(self._clock(), self._reader.last_heartbeat)
-
-    def _wait(self, wanted: int, deadline: float | None) -> bool:
-        """Wait for bytes; see meanwhile whether the watchdog's ping comes back."""
-        while self._ping_s:
-            self._watch()
-            soon = time.monotonic() + self._ping_s
-            if deadline is not None and soon >= deadline:
-                break
-            if self._ring.wait(wanted, soon):
-                return True
-        return self._ring.wait(wanted, deadline)
 
     def _ends(self, raw: bytes) -> npt.NDArray[np.int64]:
         """Return where each of the packets ends that `encode` gave."""

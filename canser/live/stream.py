@@ -1,5 +1,6 @@
 """From a ring of raw bytes to frames with host times: gaps, control packets, the watchdog."""
 
+import time
 import warnings
 from collections import deque
 from collections.abc import Callable
@@ -9,19 +10,23 @@ import numpy as np
 
 from canser import adapters
 from canser._core.table import find_protocol
-from canser._frames import FrameArray
+from canser._frames import FRAME_DTYPE, FrameArray, put_records
 from canser.adapters import AdapterReport
-from canser.codec.decoder import Control, Decoder
+from canser.codec.decoder import Control
 from canser.codec.doubt import is_doubtful
-from canser.errors import CanserWarning
+from canser.errors import CanserWarning, PortError
 from canser.live.ring import Gap, Read, Ring
-from canser.timing.clocks import FrameClock
+from canser.timing.loop import TimedDecoder
 
-__all__ = ["LiveStream", "OnBytes"]
+__all__ = ["LiveStream", "OnBytes", "Watchdog"]
 
 # Called with the bytes of each read, the time at which they had arrived, and the number of bytes
-# that are missing before them (-1: it is unknown).
+# that are missing before them (-1: it is unknown). At the end of a stream without bytes, where
+# the last ones are missing.
 OnBytes = Callable[[memoryview, int, int], None]
+
+# Frames that are decoded at once, where a caller has not asked for more.
+_ROOM: Final = 4096
 
 # A wrong baud rate or protocol is told from noise by this many bytes at a time.
 _WRONG_BYTES: Final = 4096
@@ -35,39 +40,50 @@ _SEARCH: Final = 1 << 16
 # A ping that has not come back after this many periods is lost.
 _PATIENCE_PERIODS: Final = 2.5
 
+# Frames come soon if they are due within this time, at the rate of those before.
+_SOON_S: Final = 0.02
+
+
+class Watchdog:
+    """What a stream knows of the pings that go out.
+
+    `ping_s`: seconds between them. `now` and `last_ping` give epoch nanoseconds: the time, and
+    when the last ping went out on this line, 0 for none.
+    """
+
+    def __init__(self, ping_s: float, now: Callable[[], int], last_ping: Callable[[], int]) -> None:
+        self.ping_s, self.now, self.last_ping = ping_s, now, last_ping
+
 
 class LiveStream:
     """Decode what a ring holds. Not safe for two threads: its owner takes a lock.
 
-    `ping_s`: seconds between the pings of the watchdog; 0 for none. With `device_time`
-    frames keep the times that they come with.
+    Frames are decoded into an array of the stream's own, and stay there until they are taken:
+    no exception, of `on_bytes` or by Ctrl-C, loses a byte or a frame.
     """
 
     def __init__(
         self,
         url: str,
         ring: Ring,
-        decoder: Decoder,
-        frame_clock: FrameClock,
+        loop: TimedDecoder,
         *,
         on_bytes: OnBytes | None,
-        ping_s: float,
-        device_time: bool,
+        watchdog: Watchdog | None,
     ) -> None:
-        self.decoder, self.frame_clock = decoder, frame_clock
+        self.loop, self.decoder, self.ring = loop, loop.decoder, ring
         self.controls: deque[Control] = deque(maxlen=_KEPT)
         self.gaps: deque[Gap] = deque(maxlen=_KEPT)
         self.status: AdapterReport | None = None  # the last one that came
-        self.filled = 0  # frames in the room that was given last
-        self._timed = 0  # of these, those that have their times
-        self._decoded = 0  # frames of the whole stream
-        self._url, self._ring, self._on_bytes = url, ring, on_bytes
-        self._offsets = np.empty(0, np.int64)
-        self._device_time = device_time
+        self._url, self._on_bytes, self._watchdog = url, on_bytes, watchdog
+        row = find_protocol(self.decoder.protocol)
+        self._frame_min = row.frame_min
+        self._frames = np.empty(_ROOM, FRAME_DTYPE)
+        self._taken = 0  # of the frames in there
+        loop.use(self._frames)
         self._untold: deque[Read] = deque()  # not given to `on_bytes` yet
         self._missing = 0  # bytes lost before the next read; -1: it is unknown how many
-        self._ping = find_protocol(decoder.protocol).ping if ping_s else b""
-        self._patience_ns = int(ping_s * _PATIENCE_PERIODS * 1e9)
+        self._ping = b"" if watchdog is None else row.ping
         self._asked = 0  # when the ping went out that shall come back; 0 for none
         self._answered = 0  # when the last ping came back
         self._arrived = 0  # when the last read had arrived
@@ -76,94 +92,134 @@ class LiveStream:
         self._looked = (0, 0)  # bytes in and skipped when the share was last looked at
         self._warned: set[str] = set()
 
-    def decode_into(self, room: FrameArray, count: int) -> int:
-        """Decode into `room` behind its first `count` frames; return how many it has then.
+    # Frames
 
-        Takes what the ring holds, as far as there is room. No byte is lost by an exception,
-        of `on_bytes` or by Ctrl-C: `filled` tells then how many frames `room` has.
+    @property
+    def ready(self) -> int:
+        """Frames that are decoded and not taken."""
+        return self.loop.count - self._taken
+
+    def take_into(self, out: FrameArray) -> int:
+        """Move frames that are ready to `out`; return how many."""
+        count = min(self.ready, len(out))
+        put_records(out[:count], self._frames[self._taken : self._taken + count])
+        self._taken += count
+        return count
+
+    def read(self, most: int, least: int, deadline: float | None) -> int:
+        """Decode what the ring holds, until `most` frames are ready; return how many are.
+
+        Waits for `least`, until the deadline (of time.monotonic(); None: for ever). Raises
+        what has ended the stream, after all that came before is taken.
         """
-        if len(self._offsets) < len(room):
-            self._offsets = np.empty(len(room), np.int64)
-        self.filled = self._timed = count
+        begin, start, had = time.monotonic(), self.decoder.position, self.ready
+        while True:
+            self._watch()
+            count = self.decode(most)
+            if count >= least:
+                return count
+            error = self._end_error()
+            if error is not None:
+                count = self._end(most)
+                if count:
+                    return count
+                raise error
+            missing, came = least - count, self.decoder.position - start
+            if came and count > had:
+                # Where all will be there soon, wait for the bytes that they have on average:
+                # waking for the fewest that may do would be many times for nothing.
+                now = time.monotonic()
+                soon = now + (now - begin) * missing / (count - had)
+                if (
+                    soon < now + _SOON_S
+                    and (deadline is None or soon < deadline)
+                    and self._wait(max(missing * came // (count - had), 1), soon)
+                ):
+                    continue
+            wanted = missing * self._frame_min - self.decoder.pending
+            if not self._wait(max(wanted, 1), deadline):
+                # Less than was hoped for may still be some.
+                return self.decode(most)
+
+    def decode(self, most: int) -> int:
+        """Decode what the ring holds, until `most` frames are ready; return how many are."""
+        limit = self._make_room(most)
         try:
-            self._decode(room)
-        except BaseException:
-            # It may have come behind the decoder's work, and before that was counted.
-            self._ring.release_to(self.decoder.position)
-            self._count(self.decoder.stats.frames - self._decoded)
+            self._decode(limit)
+        finally:
+            # An exception may have come behind the decoder's work, and before this.
+            self.ring.release_to(self.decoder.position)
             self._keep_controls()
-            self._assign_times(room)
-            raise
-        self._assign_times(room)
+            self._assign_times()
         self._look_at_share()
-        return self.filled
+        return self.ready
 
-    def end_into(self, room: FrameArray, count: int) -> int:
-        """End the stream: decode what is held, too."""
-        self.filled = self._timed = count
-        self._flush(room)
-        self._assign_times(room)
-        return self.filled
+    def _end(self, most: int) -> int:
+        """End the stream: decode what is held, too, and tell of bytes that are missing."""
+        limit = self._make_room(most)
+        self.loop.flush(limit)
+        self._keep_controls()
+        self._assign_times()
+        self.tell_missing()
+        return self.ready
 
-    def watch(self, now: int, last_ping: int) -> None:
-        """See whether the ping that went out comes back in time.
+    def tell_missing(self) -> None:
+        """Tell `on_bytes` of missing bytes that no others have followed."""
+        if self._missing and self._on_bytes is not None:
+            self._on_bytes(memoryview(b""), self._arrived, self._missing)
+            self._missing = 0
 
-        `last_ping`: when the last one went out, epoch nanoseconds; 0: none on this line.
+    def _make_room(self, most: int) -> int:
+        """Make room for `most` frames that are not taken, or for as many as the ring may hold.
+
+        Returns where they end in the array.
         """
-        if self._answered >= self._asked:
-            self._asked = last_ping if last_ping > self._answered else 0
-        if not self._asked or not last_ping or self._searching:
-            return
-        # Up to when the bytes are known: those that wait may hold it.
-        seen = self._arrived if len(self._ring) else now
-        if seen - self._asked > self._patience_ns:
-            self._searching = True
-            self.gaps.append(Gap(self.decoder.position, -1, seen, "watchdog"))
-            self._warn(
-                "ping",
-                f"{self._url}: the ping does not come back; looking for the place where frames "
-                "start again. Is the adapter on, and the baud rate right?",
-            )
+        ready, loop = self.ready, self.loop
+        if loop.untimed:
+            loop.assign_times()  # an exception came before that
+        if self._taken and not ready:
+            loop.restart()
+            self._taken = 0
+        most = min(most, ready + (len(self.ring) + self.decoder.pending) // self._frame_min + 1)
+        if self._taken + most > len(self._frames):
+            frames = np.empty(max(most, len(self._frames)), FRAME_DTYPE)
+            put_records(frames[:ready], self._frames[self._taken : self._taken + ready])
+            loop.use(frames, kept=ready)
+            self._frames, self._taken = frames, 0
+        return self._taken + most
 
-    def _decode(self, room: FrameArray) -> None:
-        """Decode what the ring holds into `room`, behind what it has."""
-        while self.filled < len(room):
+    def _decode(self, limit: int) -> None:
+        """Decode what the ring holds until the array has `limit` frames."""
+        loop = self.loop
+        while loop.count < limit:
             data = self._peek()
             if not len(data):
-                if self._ring.at_gap:
-                    self._flush(room)  # it will never be whole
-                if self.decoder.pending or (gap := self._ring.take_gap()) is None:
+                if self.ring.at_gap:
+                    self._flush(limit)  # it will never be whole
+                if self.decoder.pending or (gap := self.ring.take_gap()) is None:
                     break
-                self._assign_times(room)
                 self._pass(gap)
                 continue
             if self._searching and (at := bytes(data[:_SEARCH]).find(self._ping)) >= 0:
                 if at == 0:
-                    self._flush(room)
+                    self._flush(limit)
                     self._searching = bool(self.decoder.pending)
                     continue
                 data = data[:at]
             elif self._searching:
                 data = data[:_SEARCH]
-            room_left = room[self.filled :], self._offsets[self.filled :]
-            _, count = self.decoder.feed_into(data, *room_left)
-            self._count(count)
-            self._ring.release_to(self.decoder.position)
+            loop.feed(data, limit)
+            self.ring.release_to(self.decoder.position)
             self._keep_controls()
-
-    def _count(self, count: int) -> None:
-        """Take note of frames that were decoded into the room."""
-        self.filled += count
-        self._decoded += count
 
     def _peek(self) -> memoryview:
         """Return the next bytes of the ring, and tell of those that are new."""
-        data, reads = self._ring.peek()
+        data, reads = self.ring.peek()
         begin = self.decoder.position
         self._untold.extend(reads)
         while self._untold:  # some may be left by an exception
             read = self._untold.popleft()
-            self.frame_clock.add_arrival(read.end, read.ns)
+            self.loop.clock.arrivals.add(read.end, read.ns)
             self._arrived = read.ns
             self._fresh = True
             if self._on_bytes is not None:
@@ -171,33 +227,26 @@ class LiveStream:
                 self._missing = 0
         return data
 
-    def _flush(self, room: FrameArray) -> None:
-        """End the packet that is held: decode the rest of its bytes, as far as there is room."""
-        while self.decoder.pending and self.filled < len(room):
-            room_left = room[self.filled :], self._offsets[self.filled :]
-            self._count(self.decoder.flush_into(*room_left))
+    def _flush(self, limit: int) -> None:
+        self.loop.flush(limit)
         self._keep_controls()
 
     def _pass(self, gap: Gap) -> None:
         """Go on behind a gap."""
-        self.frame_clock.gap()
+        self.loop.gap()
         self.gaps.append(gap)
+        self._arrived = max(self._arrived, gap.ts)
         self._missing = -1 if -1 in (gap.lost, self._missing) else self._missing + gap.lost
         if gap.reason == "reconnect":
             self._asked, self._searching = 0, False
 
-    def _assign_times(self, room: FrameArray) -> None:
-        """Give the frames that are new in `room` their times."""
-        new = slice(self._timed, self.filled)
-        self._timed = self.filled
-        if self._device_time:
-            return
-        if new.stop > new.start or self._fresh:
+    def _assign_times(self) -> None:
+        """Give the frames that are new their times."""
+        if self.loop.untimed or self._fresh:
             self._fresh = False
-            end = self.decoder.position - self.decoder.pending
-            self.frame_clock.assign_times(room[new], self._offsets[new], end)
-            if self.frame_clock.remark is not None:
-                self._warn("clock", f"{self._url}: {self.frame_clock.remark}")
+            self.loop.assign_times()
+            if self.loop.clock.remark is not None:
+                self._warn("clock", f"{self._url}: {self.loop.clock.remark}")
 
     def _keep_controls(self) -> None:
         for control in self.decoder.take_controls():
@@ -208,6 +257,52 @@ class LiveStream:
                 self._searching = False
             elif report.kind == "status":
                 self.status = report
+
+    # Waiting
+
+    def _wait(self, wanted: int, deadline: float | None) -> bool:
+        """Wait for bytes; see meanwhile whether the watchdog's ping comes back."""
+        while self._watchdog is not None:
+            self._watch()
+            soon = time.monotonic() + self._watchdog.ping_s
+            if deadline is not None and soon >= deadline:
+                break
+            if self.ring.wait(wanted, soon):
+                return True
+        return self.ring.wait(wanted, deadline)
+
+    def _watch(self) -> None:
+        """See whether the ping that went out comes back in time."""
+        dog = self._watchdog
+        if dog is None:
+            return
+        now, last_ping = dog.now(), dog.last_ping()
+        if self._answered >= self._asked:
+            self._asked = last_ping if last_ping > self._answered else 0
+        if not self._asked or not last_ping or self._searching:
+            return
+        # Up to when the bytes are known: those that wait may hold it.
+        seen = self._arrived if len(self.ring) else now
+        if seen - self._asked > dog.ping_s * _PATIENCE_PERIODS * 1e9:
+            self._searching = True
+            self.gaps.append(Gap(self.decoder.position, -1, seen, "watchdog"))
+            self._warn(
+                "ping",
+                f"{self._url}: the ping does not come back; looking for the place where frames "
+                "start again. Is the adapter on, and the baud rate right?",
+            )
+
+    def _end_error(self) -> Exception | None:
+        """Return what has ended the stream, if all that came before is taken."""
+        error = self.ring.error
+        if error is None:
+            return None
+        # A new one: it may be raised again and again, in several threads.
+        if isinstance(error, PortError):
+            return type(error)(str(error))
+        return PortError(f"{self._url}: {type(error).__name__} {error}".rstrip())
+
+    # Warnings
 
     def _look_at_share(self) -> None:
         position, (bytes_in, skipped) = self.decoder.position, self._looked

@@ -1,16 +1,15 @@
-"""The frames of a recording: its pieces decoded, with host times."""
+"""The frames of a recording: its blocks decoded, with host times."""
 
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from canser._core.buffers import Offsets
-from canser._core.table import find_protocol
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser.codec.decoder import Decoder
 from canser.errors import RecordingError
 from canser.recording.recording import Recording, RecordingInfo
-from canser.timing.clocks import FrameClock
+from canser.timing.loop import TimedDecoder
 
 __all__ = ["RecordedFrames"]
 
@@ -45,15 +44,11 @@ class RecordedFrames:
             )
         except ValueError as error:
             raise RecordingError(f"the recording says {error}") from None
-        row = find_protocol(self.decoder.protocol)
-        self._frame_clock = FrameClock(row.has_clock, self.info.byte_ns, row.frame_max)
+        self._loop = TimedDecoder(self.decoder, self.info.byte_ns)
         self._gaps = self._bytes_lost = self._unknown = 0
         # Of the bytes that are to be decoded next: sizes of pieces, and when they came.
         self._arrivals: list[tuple[int, int]] = []
-        # The array that is being filled: with so many frames, so many of these with their time.
-        self._out: FrameArray = np.empty(0, FRAME_DTYPE)
-        self._offsets = np.empty(0, np.int64)
-        self._count = self._timed = 0
+        self._out: FrameArray = np.empty(0, FRAME_DTYPE)  # the array that is being filled
 
     @property
     def bytes_done(self) -> int:
@@ -70,14 +65,15 @@ class RecordedFrames:
                 times = "once" if self._unknown == 1 else f"{self._unknown:,} times"
                 lost += f" and {times} an unknown number"
             remarks.append(f"gaps in the recording: {self._gaps:,}, bytes lost: {lost}")
-        if self._frame_clock.remark is not None:
-            remarks.append(self._frame_clock.remark)
+        if self._loop.clock.remark is not None:
+            remarks.append(self._loop.clock.remark)
         return remarks
 
     def release(self) -> None:
         """Let go of the memory that reading took; nothing more is read."""
         self.head = bytearray()
-        self._out, self._offsets = np.empty(0, FRAME_DTYPE), np.empty(0, np.int64)
+        self._out = np.empty(1, FRAME_DTYPE)
+        self._loop.use(self._out)
 
     def line_bytes(self) -> Iterator[memoryview]:
         """Yield the bytes of the line as they were recorded; nothing is decoded."""
@@ -90,33 +86,27 @@ class RecordedFrames:
         self, room: Callable[[], tuple[FrameArray, Offsets | None]]
     ) -> Iterator[tuple[FrameArray, int]]:
         """Yield arrays and how many frames are in each; `room` makes them, and their offsets."""
-        decoder = self.decoder
+        loop = self._loop
         self._take(room)
         for data, after_gap in self._joined():
             if after_gap:
                 # Only what came before the gap is held: it will never be whole.
                 yield from self._flush(room)
-                self._assign_times()
-                self._frame_clock.gap()
+                loop.gap()
             self._arrive()
             done, size = 0, len(data)
             while done < size:
-                count = self._count
-                used, more = decoder.feed_into(
-                    data[done:] if done else data, self._out[count:], self._offsets[count:]
-                )
-                done += used
-                self._count += more
-                if self._count == len(self._out):
+                done += loop.feed(data[done:] if done else data, len(self._out))
+                if loop.count == len(self._out):
                     yield self._hand_over()
                     self._take(room)
-            if self._count - self._timed >= _TIMED_AT_ONCE:
-                self._assign_times()
-            if self._live and self._count:
+            if loop.untimed >= _TIMED_AT_ONCE:
+                loop.assign_times()
+            if self._live and loop.count:
                 yield self._hand_over()
                 self._take(room)
         yield from self._flush(room)
-        if self._count:
+        if loop.count:
             yield self._hand_over()
 
     def _joined(self) -> Iterator[tuple[memoryview | bytes, bool]]:
@@ -147,7 +137,7 @@ class RecordedFrames:
         end = self.decoder.position
         for size, ns in self._arrivals:
             end += size
-            self._frame_clock.add_arrival(end, ns)
+            self._loop.clock.arrivals.add(end, ns)
         self._arrivals.clear()
 
     def _flush(
@@ -155,30 +145,18 @@ class RecordedFrames:
     ) -> Iterator[tuple[FrameArray, int]]:
         """Decode what is held to its end."""
         while self.decoder.pending:
-            count = self._count
-            self._count += self.decoder.flush_into(self._out[count:], self._offsets[count:])
-            if self._count == len(self._out):
+            self._loop.flush(len(self._out))
+            if self._loop.count == len(self._out):
                 yield self._hand_over()
                 self._take(room)
 
     def _take(self, room: Callable[[], tuple[FrameArray, Offsets | None]]) -> None:
         self._out, offsets = room()
-        if offsets is not None:
-            self._offsets = offsets.view(np.int64)
-        elif len(self._offsets) < len(self._out):
-            self._offsets = np.empty(len(self._out), np.int64)
-        self._count = self._timed = 0
+        self._loop.use(self._out, offsets)
 
     def _hand_over(self) -> tuple[FrameArray, int]:
-        self._assign_times()
-        return self._out, self._count
-
-    def _assign_times(self) -> None:
-        """Give the frames that have none their time."""
-        new = slice(self._timed, self._count)
-        end = self.decoder.position - self.decoder.pending
-        self._frame_clock.assign_times(self._out[new], self._offsets[new], end)
-        self._timed = self._count
+        self._loop.assign_times()
+        return self._out, self._loop.count
 
     def _count_gap(self, lost: int) -> None:
         self._gaps += 1
