@@ -1,7 +1,7 @@
 """An hour of a line at 2,000,000 baud, compressed in time: nothing may be lost.
 
 A virtual adapter, a process of its own, sends the bytes of that hour through a pseudo terminal;
-they are read, decoded and recorded as `canser log` does, files by turns. Every frame is compared
+they are read, decoded, and recorded beside that, in a rotation of files. Every frame is compared
 with what was sent, the last files are read back, and memory and descriptors must stay what
 they were after the first minutes. Ends with exit code 1 where anything is wrong.
 """
@@ -15,7 +15,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +23,6 @@ import numpy.typing as npt
 
 import canser
 from canser._frames import FrameArray
-from canser.recording.recorder import Recorder
-from canser.recording.recording import RecordingInfo
 from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import vehicle
 from measure import machine
@@ -94,27 +92,21 @@ def soak(protocol: str, hours: float, times: int, folder: Path) -> list[str]:
     wrong = []
     count, minutes, settled = 0, 0, (0, 0)
     out = np.empty(ROOM, canser.FRAME_DTYPE)
-    info = RecordingInfo(protocol, 2_000_000, None, "ms", "soak")
     with (
         adapter(protocol, traffic, 2_000_000 * times) as url,
-        closing(Recorder(str(folder / "run.pcapng"), info, size=FILE_SIZE, keep=KEEP)) as recorder,
-        canser.open(
-            url, protocol, line=canser.LineConfig(baudrate=2_000_000), on_bytes=recorder.write
-        ) as port,
+        canser.open(url, protocol, line=canser.LineConfig(baudrate=2_000_000)) as port,
+        port.record(str(folder / "run.pcapng"), size=FILE_SIZE, keep=KEEP) as recorder,
     ):
-        recorder.start(time.time_ns())
         begin = time.monotonic()
         while port.decoder.position < todo:
             frames = port.read_batch(out, min_frames=ROOM // 2, timeout=30)
             if not len(frames):
                 return [f"{protocol}: nothing came for 30 s"]
-            if port.bytes_lost:
-                return [f"{protocol}: {port.bytes_lost:,} bytes came too fast; lower --times"]
+            if lost := port.bytes_lost + recorder.status.bytes_lost:
+                return [f"{protocol}: {lost:,} bytes came too fast; lower --times"]
             if not is_next(frames, count, sent):
                 return [f"{protocol}: frame {count:,} or one of the next is not what was sent"]
             count += len(frames)
-            recorder.advance(port.decoder.position - port.decoder.pending, time.time_ns())
-            recorder.events.clear()
             if port.decoder.position >= (minutes + 1) * 60 * PACE:
                 minutes += 1
                 now = resident(), descriptors()
@@ -131,18 +123,20 @@ def soak(protocol: str, hours: float, times: int, folder: Path) -> list[str]:
         stats = port.stats
         if stats.bytes_skipped or port.take_gaps():
             wrong.append(f"{protocol}: {stats.bytes_skipped:,} bytes skipped")
-    # The recording ends where reading stopped, mostly within a packet: the end of the file is
-    # the end of the stream, and in cantalope part of a packet may hold a shorter one.
-    at = count % len(traffic)
-    cut = canser.encode(traffic[at : at + 1], protocol)[: stats.pending]
+    # The recording ends somewhere, mostly within a packet: the end of the file is the end of the
+    # stream, and in cantalope part of a packet may hold a shorter one.
+    recorded = recorder.status
+    at = recorded.stats.frames % len(traffic)
+    cut = canser.encode(traffic[at : at + 1], protocol)[: recorded.stats.pending]
     end = content(canser.decode(cut, protocol))
+    kept = min(KEEP, recorded.files)
     wrong += [
         f"{protocol}: {line}"
-        for line in check_files(folder, min(KEEP, recorder.files), count, sent, end)
+        for line in check_files(folder, kept, recorded.stats.frames, sent, end)
     ]
     print(
         f"{protocol}: {count:,} frames, {stats.bytes_in:,} bytes, all as sent; "
-        f"{hours:g} h of the line in {took:.0f} s; {recorder.files} files"
+        f"{hours:g} h of the line in {took:.0f} s; {recorded.files} files"
     )
     return wrong
 

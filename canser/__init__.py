@@ -61,9 +61,12 @@ if TYPE_CHECKING:
     from canser.live.ports import PortInfo as PortInfo
     from canser.live.ports import list_ports as list_ports
     from canser.live.ports import open as open  # noqa: A004 - as in gzip.open
+    from canser.live.recorder import Recorder as Recorder
+    from canser.live.recording import RecordConfig as RecordConfig
+    from canser.live.recording import RecorderEvent as RecorderEvent
+    from canser.live.recording import RecorderStatus as RecorderStatus
     from canser.live.ring import Gap as Gap
-    from canser.recording.recorder import Event as Event
-    from canser.recording.recorder import Recorder as Recorder
+    from canser.live.run import record as record
     from canser.recording.recording import RecordingInfo as RecordingInfo
     from canser.simulation.faults import Faults as Faults
     from canser.simulation.simulator import Simulator as Simulator
@@ -150,11 +153,14 @@ _HOMES: Final = {
         "list_ports",
         "open",
     ),
-    "canser.live.ring": ("Gap",),
-    "canser.recording.recorder": (
-        "Event",
-        "Recorder",
+    "canser.live.recorder": ("Recorder",),
+    "canser.live.recording": (
+        "RecordConfig",
+        "RecorderEvent",
+        "RecorderStatus",
     ),
+    "canser.live.ring": ("Gap",),
+    "canser.live.run": ("record",),
     "canser.recording.recording": ("RecordingInfo",),
     "canser.simulation.faults": ("Faults",),
     "canser.simulation.simulator": (

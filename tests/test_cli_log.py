@@ -730,7 +730,7 @@ def test_a_port_in_use(tmp_path: Path) -> None:
         (["run.pcapng", "--size", "100X"], "cannot read the size"),
         (["run.pcapng", "--size", "5"], "too small"),
         (["run.pcapng", "--time", "soon"], "cannot read the time"),
-        (["run.pcapng", "--time", "0"], "1 or more"),
+        (["run.pcapng", "--time", "0"], "more than 0 seconds"),
         (["run.pcapng", "--keep", "3"], "give their size or time"),
         (["run.pcapng", "--before", "5s"], "name one with --trigger"),
         (["run.pcapng", "--trigger", "12Q:7FF"], "cannot read the filter"),

@@ -20,7 +20,8 @@ import pytest
 import canser
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser.commands import cli
-from canser.live.ports import Gap, host_clock
+from canser.live.ports import Gap
+from canser.timing.host import HostClock
 from samples import MILLISECOND as MS
 
 pytest.importorskip("textual")
@@ -82,7 +83,7 @@ def frames(arbitration_id: int, *data: bytes, every: int = 10 * MS, **fields: An
     made["id"], made["dlc"] = arbitration_id, [len(one) for one in data]
     padded = b"".join(one.ljust(8, b"\0") for one in data)
     made["data"] = np.frombuffer(padded, np.uint8).reshape(-1, 8)
-    made["ts"] = host_clock()() - every * np.arange(len(data))[::-1]
+    made["ts"] = HostClock()() - every * np.arange(len(data))[::-1]
     for name, value in fields.items():
         made[name] = value
     return made
@@ -193,7 +194,7 @@ SORTS = {
 @pytest.mark.parametrize("key", SORTS)
 def test_a_key_sorts_and_again_the_other_way_round(key: str) -> None:
     async def test(screen: Screen) -> None:
-        now = host_clock()()
+        now = HostClock()()
         for arbitration_id, ts, dlc in (
             (0x100, [0, 30, 50], 7),  # a jitter of 5 ms
             (0x200, [100, 101], 7),
@@ -238,8 +239,8 @@ def test_a_click_on_a_title_sorts() -> None:
 
 
 def test_bytes_that_change_are_marked_without_colour_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = host_clock()() + 3_600_000 * MS
-    monkeypatch.setattr("canser.monitoring.monitor.host_clock", lambda: lambda: now)
+    now = HostClock()() + 3_600_000 * MS
+    monkeypatch.setattr("canser.monitoring.monitor.HostClock", lambda: lambda: now)
 
     async def test(screen: Screen) -> None:
         nonlocal now

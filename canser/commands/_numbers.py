@@ -9,9 +9,9 @@ import re
 from argparse import ArgumentTypeError
 from collections.abc import Callable
 from datetime import datetime
-from fractions import Fraction
 from typing import Final
 
+from canser._quantities import is_duration, parse_bytes, parse_seconds
 from canser.files.selection import Moment
 
 __all__ = ["byte_count", "date", "duration", "moment", "real", "whole"]
@@ -21,19 +21,6 @@ _DIGITS_MOST: Final = 30
 
 _WHOLE: Final = re.compile(f"-?[0-9]{{1,{_DIGITS_MOST}}}")
 _REAL: Final = re.compile(r"-?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
-
-_DURATION: Final = re.compile(r"(?P<number>[0-9]+(?:\.[0-9]+)?)(?: *(?P<unit>ms|s|min|m|h|d))?")
-_SECONDS: Final = {"ms": 0.001, "s": 1, "min": 60, "m": 60, "h": 3600, "d": 86400, None: 1}
-
-# Nanoseconds of it fit in 64 bits.
-_DAYS_MOST: Final = 100_000
-
-_BYTE_COUNT: Final = re.compile(r"(?P<number>[0-9]+(?:\.[0-9]+)?)(?: *(?:(?P<unit>[kKMG]i?)B?|B))?")
-_UNITS: Final = {
-    None: 1, "k": 10**3, "K": 10**3, "M": 10**6, "G": 10**9,
-    "ki": 1 << 10, "Ki": 1 << 10, "Mi": 1 << 20, "Gi": 1 << 30,
-}  # fmt: skip
-
 
 # A date and a time of day, seconds and their fraction at will, and the offset from UTC.
 _DATE: Final = re.compile(
@@ -82,21 +69,18 @@ def real(
 
 def duration(text: str) -> float:
     """Return the seconds of a time such as 500ms, 5s, 10m, 1h or 2d."""
-    found = _DURATION.fullmatch(text)
-    if found is None:
-        raise ArgumentTypeError(f"cannot read the time {text!r}; write 500ms, 5s, 10m, 1h")
-    seconds = float(found["number"]) * _SECONDS[found["unit"]]
-    if seconds > _DAYS_MOST * 86400:
-        raise ArgumentTypeError(f"the time {text} is too long; give {_DAYS_MOST}d or less")
-    return seconds
+    try:
+        return parse_seconds(text)
+    except ValueError as error:
+        raise ArgumentTypeError(str(error)) from None
 
 
 def byte_count(text: str) -> int:
     """Return the bytes of a size such as 500k, 100M or 1.5Gi."""
-    found = _BYTE_COUNT.fullmatch(text)
-    if found is None:
-        raise ArgumentTypeError(f"cannot read the size {text!r}; write 500k, 100M or 1G")
-    return int(Fraction(found["number"]) * _UNITS[found["unit"]])
+    try:
+        return parse_bytes(text)
+    except ValueError as error:
+        raise ArgumentTypeError(str(error)) from None
 
 
 def _no_number(text: str, wanted: str) -> ArgumentTypeError:
@@ -121,7 +105,7 @@ def date(text: str) -> int:
 
 def moment(text: str) -> Moment:
     """Return a time in a stream: a date, or a time from the first frame on."""
-    if _DURATION.fullmatch(text):
+    if is_duration(text):
         return Moment(round(duration(text) * 1e9), from_first=True)
     try:
         return Moment(date(text), from_first=False)

@@ -11,11 +11,10 @@ from canser.commands._numbers import duration, whole
 from canser.commands._parser import CallError, Parser, protocol_name
 from canser.errors import PortBusyError, PortDeniedError, PortNotFoundError
 from canser.live import ports
-from canser.live.config import LEVELS, LineConfig, flat_config
+from canser.live.config import LEVELS, LineConfig, PortOptions, flat_config
 from canser.live.ports import Port
-from canser.live.stream import OnBytes
 
-__all__ = ["duration_arguments", "open_port", "port_arguments"]
+__all__ = ["duration_arguments", "open_port", "port_arguments", "port_options"]
 
 _HEX: Final = "(?:0[xX])?([0-9A-Fa-f]{1,8})"
 _ADAPTER_FILTER: Final = re.compile(f"{_HEX}:{_HEX}")
@@ -114,23 +113,25 @@ def duration_arguments() -> argparse.ArgumentParser:
     return staying
 
 
-def open_port(args: argparse.Namespace, *, on_bytes: OnBytes | None = None) -> Port:
+def port_options(args: argparse.Namespace) -> PortOptions:
+    """Return what the arguments ask of a port, as keywords of `canser.open`."""
+    return {
+        "config": _adapter_config(args),
+        "line": LineConfig(
+            baudrate=args.baudrate,
+            dtr=args.dtr,
+            rts=args.rts,
+            ping=getattr(args, "ping", None),
+        ),
+        "ts_unit": args.ts_unit,
+        "reconnect": getattr(args, "reconnect", False),
+    }
+
+
+def open_port(args: argparse.Namespace) -> Port:
     """Open the port that the arguments name; CallError where that cannot be."""
     try:
-        return ports.open(
-            args.channel,
-            args.protocol,
-            config=_adapter_config(args),
-            line=LineConfig(
-                baudrate=args.baudrate,
-                dtr=args.dtr,
-                rts=args.rts,
-                ping=getattr(args, "ping", None),
-            ),
-            ts_unit=args.ts_unit,
-            reconnect=getattr(args, "reconnect", False),
-            on_bytes=on_bytes,
-        )
+        return ports.open(args.channel, args.protocol, **port_options(args))
     except (ValueError, PortNotFoundError, PortDeniedError, PortBusyError) as error:
         raise CallError(str(error)) from None
 

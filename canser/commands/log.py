@@ -28,6 +28,8 @@ With --json each line on standard output is an object with a `type` and a `time`
     gap      offset: in the stream; lost: bytes, -1 where not known; reason: "overflow",
              "reconnect" or "watchdog"
     back     the device is back after a gap
+    clock_set  the host's clock was set: step_ns, forward if positive. Times go on as before in the
+             open file; the next file begins with the new time
     error    number: what the adapter reports
     warning  message
 
@@ -38,64 +40,43 @@ the newest 10,000 objects are kept, and the end waits until they are read.
 """
 
 import argparse
-import contextlib
 import json
 import sys
 import time
 from collections.abc import Iterable
-from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, Self
 
-import numpy as np
-
-from canser import adapters
-from canser._frames import FRAME_DTYPE, FrameArray, match
-from canser._protocols import protocol
-from canser._signals import Stop, stop_on_signals
+from canser import _signals
 from canser.analysis import report
-from canser.commands._numbers import byte_count, duration, whole
+from canser.commands._numbers import duration, whole
 from canser.commands._parser import BAD_DATA, GOOD, CallError, Commands, DataError, add_command
-from canser.commands._port import duration_arguments, open_port, port_arguments
+from canser.commands._port import duration_arguments, port_arguments, port_options
 from canser.commands._screen import PATIENCE_S, Lines, StatusLine, warnings_as_lines
-from canser.errors import PortError, StreamClosedError
-from canser.live.meter import Meter
-from canser.live.ports import Port, host_clock
-from canser.live.ring import Gap
-from canser.recording.recorder import MEMORY, Event, Recorder
-from canser.recording.recording import RecordingInfo
+from canser.errors import (
+    PortBusyError,
+    PortDeniedError,
+    PortError,
+    PortNotFoundError,
+    StreamClosedError,
+)
+from canser.live.recording import RecordConfig, RecorderEvent, RecorderStatus
+from canser.live.run import record
 
 __all__ = ["add"]
-
-# The most frames that are taken at once, and how long they are waited for.
-_ROOM: Final = 4096
-_ROUND_S: Final = 0.2
-
-# After the wish to stop, bytes on their way are waited for: until none come for _QUIET_S, and
-# for _DRAIN_S at most.
-_QUIET_S: Final = 0.05
-_DRAIN_S: Final = 0.5
 
 # The time between two status objects of --json.
 _STATUS_EVERY_S: Final = 1.0
 
-_WINDOW_S: Final = 5.0  # before and after a trigger, by default
-
-_SIZE_LEAST: Final = 100_000
-
-_REASONS: Final = {
-    "overflow": "this program was too slow",
-    "reconnect": "the device was gone",
-    "watchdog": "the ping did not come back",
+# What an event has besides its type and time, as JSON.
+_FACTS: Final = {
+    "vanished": ("path", "lost", "renamed"),
+    "gap": ("offset", "lost", "reason"),
+    "back": (),
+    "error": ("number",),
+    "clock_set": ("step_ns",),
 }
-
-_ABOUT_FILES: Final = {
-    "opened": "recording into",
-    "closed": "closed",
-    "deleted": "deleted",
-    "restored": "nothing was recorded, and there is the old file again:",
-    "set_aside": "the old file stays:",
-}
+_FACTS_OF_FILES: Final = ("path",)
 
 
 def add(commands: Commands) -> None:
@@ -162,62 +143,26 @@ def add(commands: Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    filters = [text for text in args.triggers if text != "error"]
-    try:
-        match(np.empty(0, FRAME_DTYPE), *filters)
-        recorder = _recorder(args)
-    except ValueError as error:
-        raise CallError(str(error)) from None
     if args.json and sys.stdout is None:
         raise StreamClosedError("the standard output is closed; open it, or leave --json out")
-    with (
-        contextlib.closing(recorder),
-        stop_on_signals() as stop,
-        Lines(sys.stderr.fileno()) as messages,
-    ):
+    if not args.triggers and (args.before, args.after) != (None, None):
+        raise CallError("--before and --after are about a trigger; name one with --trigger")
+    with _signals.stop_on_signals() as stop, Lines(sys.stderr.fileno()) as messages:
         with (
             _Reporter(messages, as_json=args.json) as reporter,
             warnings_as_lines(reporter.warn),
-            open_port(args, on_bytes=recorder.write) as port,
         ):
-            ended = _Log(args, filters, port, recorder, reporter).run(stop)
+            ended = _Log(args, reporter).run(stop)
         if ended is not None:
             messages.put(f"canser: {ended}", last=True)
     return BAD_DATA if ended is not None or reporter.failed else GOOD
 
 
-def _recorder(args: argparse.Namespace) -> Recorder:
-    window_ns = None
-    if args.triggers:
-        before, after = (_WINDOW_S if s is None else s for s in (args.before, args.after))
-        window_ns = int(before * 1e9), int(after * 1e9)
-    elif args.before is not None or args.after is not None:
-        raise CallError("--before and --after are about a trigger; name one with --trigger")
-    info = RecordingInfo(
-        protocol=args.protocol,
-        baudrate=args.baudrate or protocol(args.protocol).baudrate,
-        bitrate=args.bitrate,
-        ts_unit=args.ts_unit,
-        device=args.channel,
-    )
-    return Recorder(
-        args.target,
-        info,
-        size=args.size,
-        period_ns=None if args.time is None else int(args.time * 1e9),
-        window_ns=window_ns,
-        keep=args.keep,
-        force=args.force,
-    )
-
-
-def _size(text: str) -> int:
-    size = byte_count(text)
-    if size < _SIZE_LEAST:
-        raise argparse.ArgumentTypeError(
-            f"the size {text} is too small for a file; give 100k or more"
-        )
-    return size
+def _size(text: str) -> int | str | None:
+    try:
+        return RecordConfig(size=text).size
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 class _Reporter:
@@ -294,154 +239,77 @@ class _Reporter:
 
 
 class _Log:
-    """A run of the command: rounds of reading, recording and telling."""
+    """A run of the command: what the recording tells, told on."""
 
-    def __init__(
-        self,
-        args: argparse.Namespace,
-        filters: list[str],
-        port: Port,
-        recorder: Recorder,
-        reporter: _Reporter,
-    ) -> None:
-        self._port, self._recorder, self._reporter = port, recorder, reporter
-        self._filters, self._errors = filters, "error" in args.triggers
-        self._triggered, self._duration = bool(args.triggers), args.duration
-        self._clock = host_clock()
-        self._begin = time.monotonic()
-        self._meter = Meter(args.bitrate, self._begin)
-        self._room = np.empty(_ROOM, FRAME_DTYPE)
-        self._gaps = self._gaps_unknown = 0
-        self._away = self._told_memory = False
-        self._gap_end = 0  # bytes that had come when the device went away
+    def __init__(self, args: argparse.Namespace, reporter: _Reporter) -> None:
+        self._args, self._reporter = args, reporter
+        self._status: RecorderStatus | None = None  # None before the recording has begun
 
-    def run(self, stop: Stop) -> Exception | None:
+    def run(self, stop: _signals.Stop) -> Exception | None:
         """Record until the end; return why the exit code is not 0."""
+        args = self._args
         error: Exception | None = None
         try:
-            try:
-                self._recorder.start(self._clock())
-                self._follow(stop)
-            finally:
-                self._take(self._room[:0])
+            record(
+                args.channel,
+                args.protocol,
+                args.target,
+                duration=args.duration,
+                stop=lambda: bool(stop),
+                bus_bitrate=args.bitrate,
+                on_event=self._tell,
+                on_status=self._keep,
+                size=args.size,
+                time=args.time,
+                keep=args.keep,
+                triggers=args.triggers,
+                before=args.before,
+                after=args.after,
+                force=args.force,
+                **port_options(args),
+            )
+        except (ValueError, PortNotFoundError, PortDeniedError, PortBusyError) as wrong:
+            raise CallError(str(wrong)) from None
         except (PortError, OSError) as ended:
+            if self._status is None:
+                raise
             error = ended
-        try:
-            self._recorder.close()
-        except OSError as ended:
-            error = error or ended
-        self._tell_events()
+        status = self._status
+        assert status is not None
         reason = "error" if error is not None else "signal" if stop else "duration"
-        if isinstance(error, OSError):
-            error = _disk_error(error, self._recorder)
-        if error is None and self._recorder.vanished:
+        if error is None and status.files_vanished:
             error = DataError(
                 f"files that were removed, replaced or renamed while they were open: "
-                f"{self._recorder.vanished:,}; {self._recorder.bytes_vanished:,} bytes are gone"
+                f"{status.files_vanished:,}; {status.bytes_vanished:,} bytes are gone"
             )
-        self._summary(reason, error)
+        self._summary(status, reason, error)
         return error
-
-    def _follow(self, stop: Stop) -> None:
-        end = None if self._duration is None else self._begin + self._duration
-        while not stop:
-            left = _ROUND_S if end is None else end - time.monotonic()
-            if left <= 0:
-                return
-            self._read(min(left, _ROUND_S))
-            if self._reporter.due:
-                self._tell_status()
-        # What the line has delivered until now may wait in the system, or in the ring.
-        end = time.monotonic() + _DRAIN_S
-        while True:
-            before, left = self._recorder.bytes_in, end - time.monotonic()
-            self._read(_QUIET_S if left > 0 else 0)
-            after = self._recorder.bytes_in
-            # Not between a byte that is recorded and the frame that it belongs to.
-            if after == self._port.decoder.position and (after == before or left <= 0):
-                return
-
-    def _read(self, timeout: float) -> None:
-        room = self._room
-        self._take(self._port.read_batch(room, min_frames=len(room), timeout=timeout))
-
-    def _take(self, frames: FrameArray) -> None:
-        """Count frames, and record the bytes that they came in."""
-        port, recorder = self._port, self._recorder
-        self._meter.add(frames, recorder.bytes_in, time.monotonic())
-        triggers = self._triggers(frames)
-        self._tell_gaps()
-        recorder.advance(port.decoder.position - port.decoder.pending, self._clock(), triggers)
-        self._tell_events()
-
-    def _triggers(self, frames: FrameArray) -> list[int]:
-        """Return the times of what is waited for, ascending."""
-        times: list[int] = []
-        if self._filters and len(frames):
-            times += frames["ts"][match(frames, *self._filters)].tolist()
-        if self._errors:
-            times += frames["ts"][frames["err"]].tolist()
-        for offset, data in self._port.take_controls():
-            said = adapters.report(self._port.protocol, data)
-            if said.kind == "error":
-                ts = self._recorder.arrival_of(offset)
-                text = f"the adapter reports error {said.number}"
-                self._reporter.event("error", text, ts, number=said.number)
-                times += [ts] if self._errors else []
-        return sorted(times)
 
     # Telling
 
-    def _tell_gaps(self) -> None:
-        for gap in self._port.take_gaps():
-            self._gaps += 1
-            self._gaps_unknown += gap.lost < 0
-            self._away = gap.reason == "reconnect"
-            text = _gap_text(gap)
-            if self._away:
-                text += f"; waiting for {self._port.url}"
-            self._reporter.event(
-                "gap", text, gap.ts, offset=gap.offset, lost=gap.lost, reason=gap.reason
-            )
-            self._gap_end = self._recorder.bytes_in
-        if self._away and self._recorder.bytes_in > self._gap_end:
-            self._away = False
-            self._reporter.event("back", f"{self._port.url} is back", self._clock())
+    def _tell(self, event: RecorderEvent) -> None:
+        kind, reporter = event.kind, self._reporter
+        if kind == "warning":
+            reporter.warn(event.text)
+        elif kind != "closed" or reporter.status is None:
+            names = _FACTS.get(kind, _FACTS_OF_FILES)
+            facts = {name: getattr(event, name) for name in names}
+            reporter.event(kind, event.text, event.ts, **facts)
 
-    def _tell_events(self) -> None:
-        recorder = self._recorder
-        while recorder.events:
-            event = recorder.events.popleft()
-            kind, path, ts = event.kind, event.path, event.ts
-            if kind == "vanished":
-                self._reporter.event(
-                    kind, _vanished_text(event), ts, path=path, lost=event.lost,
-                    renamed=event.renamed,
-                )  # fmt: skip
-            elif kind == "trigger":
-                when = datetime.fromtimestamp(ts / 1e9).astimezone()
-                self._reporter.event("trigger", f"trigger at {when:%H:%M:%S.%f}", ts, path=path)
-            elif kind != "closed" or self._reporter.status is None:
-                self._reporter.event(kind, f"{_ABOUT_FILES[kind]} {path}", ts, path=path)
-        if recorder.out_of_memory and not self._told_memory:
-            self._told_memory = True
-            self._reporter.warn(
-                f"{MEMORY >> 20} MiB are too little for all that came before a trigger; "
-                "--before is shorter than it says"
-            )
-
-    def _tell_status(self) -> None:
-        if self._reporter.status is None:
-            self._reporter.object("status", self._clock(), self._facts())
+    def _keep(self, status: RecorderStatus) -> None:
+        self._status = status
+        if not self._reporter.due:
             return
-        self._reporter.status.show(self._parts())
+        if self._reporter.status is None:
+            self._reporter.object("status", time.time_ns(), self._facts(status))
+            return
+        self._reporter.status.show(self._parts(status))
 
-    def _facts(self) -> dict[str, Any]:
+    def _facts(self, status: RecorderStatus) -> dict[str, Any]:
         """Return how things stand, for machines."""
-        port, recorder, rates = self._port, self._recorder, self._meter.rates()
-        stats = port.stats
+        stats, rates = status.stats, status.rates
         return {
-            "elapsed": round(time.monotonic() - self._begin, 3),
+            "elapsed": round(status.elapsed_s, 3),
             "frames": stats.frames,
             "frames_per_s": round(rates.frames, 1),
             "bytes": stats.bytes_in,
@@ -452,65 +320,64 @@ class _Log:
             "skipped": stats.bytes_skipped,
             "pending": stats.pending,
             "resyncs": stats.resyncs,
-            "lost": port.bytes_lost,
-            "gaps": self._gaps,
-            "gaps_unknown": self._gaps_unknown,
-            "ring": round(port.ring_fill, 4),
-            "recorded": recorder.bytes_recorded,
-            "not_recorded": recorder.bytes_passed,
-            "vanished": recorder.bytes_vanished,
-            "triggers": recorder.triggers,
-            "files": recorder.files,
-            "file": recorder.file,
+            "lost": status.bytes_lost,
+            "gaps": status.gaps,
+            "gaps_unknown": status.gaps_unknown,
+            "ring": round(status.ring_fill, 4),
+            "recorded": status.bytes_recorded,
+            "not_recorded": status.bytes_passed,
+            "vanished": status.bytes_vanished,
+            "triggers": status.triggers,
+            "files": status.files,
+            "file": status.file,
             "lines_dropped": self._reporter.dropped,
         }
 
-    def _parts(self) -> list[str]:
+    def _parts(self, status: RecorderStatus) -> list[str]:
         """Return how things stand, for people, most wanted first."""
-        port, recorder, rates = self._port, self._recorder, self._meter.rates()
-        stats = port.stats
+        rates = status.rates
         parts = [
-            _clock_text(time.monotonic() - self._begin),
+            _clock_text(status.elapsed_s),
             f"{rates.frames:,.0f} frames/s",
             f"{_bytes_text(rates.bytes)}/s",
         ]
         if rates.load is not None:
             parts.append(f"load {rates.load:.0%}")
         parts += [
-            f"skipped {stats.bytes_skipped:,}",
-            f"lost {port.bytes_lost:,}",
-            f"ring {port.ring_fill:.0%}",
+            f"skipped {status.stats.bytes_skipped:,}",
+            f"lost {status.bytes_lost:,}",
+            f"ring {status.ring_fill:.0%}",
         ]
-        if self._away:
+        if status.away:
             parts.insert(0, "no device")
-        if recorder.recording:
-            parts.append(f"{Path(recorder.file).name} {_bytes_text(recorder.file_bytes)}")
+        if status.recording:
+            parts.append(f"{Path(status.file).name} {_bytes_text(status.file_bytes)}")
         else:
-            parts.append(f"waiting for trigger {recorder.triggers + 1:,}")
+            parts.append(f"waiting for trigger {status.triggers + 1:,}")
         return parts
 
-    def _summary(self, reason: str, error: Exception | None) -> None:
-        port, recorder, stats = self._port, self._recorder, self._port.stats
+    def _summary(self, status: RecorderStatus, reason: str, error: Exception | None) -> None:
+        stats = status.stats
         if self._reporter.status is None:
             facts = {"reason": reason, "error": None if error is None else str(error)}
-            self._reporter.object("end", self._clock(), facts | self._facts())
+            self._reporter.object("end", time.time_ns(), facts | self._facts(status))
             return
         self._reporter.status.clear()
-        seconds = time.monotonic() - self._begin
         lines = [
-            f"{port.url}: {stats.frames:,} frames in {seconds:,.1f} s",
+            f"{self._args.channel}: {stats.frames:,} frames in {status.elapsed_s:,.1f} s",
             report.conservation(stats),
         ]
         if stats.bytes_skipped:
             lines.append(f"skipped: {report.reject_text(stats)}; resyncs: {stats.resyncs:,}")
-        lines.append(f"recorded: {recorder.bytes_recorded:,} bytes in {_files_text(recorder)}")
-        if self._triggered:
+        lines.append(f"recorded: {status.bytes_recorded:,} bytes in {_files_text(status)}")
+        if self._args.triggers:
             lines.append(
-                f"triggers: {recorder.triggers:,}; {recorder.bytes_passed:,} bytes far from any "
+                f"triggers: {status.triggers:,}; {status.bytes_passed:,} bytes far from any "
                 "were not recorded"
             )
-        unknown = f"; gaps of unknown length: {self._gaps_unknown:,}" if self._gaps_unknown else ""
-        lines.append(f"lost: {port.bytes_lost:,} bytes{unknown}")
+        unknown = status.gaps_unknown
+        text = f"; gaps of unknown length: {unknown:,}" if unknown else ""
+        lines.append(f"lost: {status.bytes_lost:,} bytes{text}")
         if self._reporter.dropped:
             lines.append(
                 f"lines not shown, because standard error was not read: {self._reporter.dropped:,}"
@@ -518,47 +385,20 @@ class _Log:
         self._reporter.last_lines(lines)
 
 
-def _files_text(recorder: Recorder) -> str:
+def _files_text(status: RecorderStatus) -> str:
     """Return how many files were made, and the names of those that are there."""
-    names = [Path(path).name for path in recorder.files_kept]
-    if not recorder.files:
+    names = [Path(path).name for path in status.files_kept]
+    if not status.files:
         return "no file"
-    if recorder.files == len(names) == 1:
+    if status.files == len(names) == 1:
         return names[0]
-    text = f"{recorder.files:,} file{'s' * (recorder.files > 1)}"
-    if len(names) < recorder.files:
+    text = f"{status.files:,} file{'s' * (status.files > 1)}"
+    if len(names) < status.files:
         text += f", {len(names):,} kept"
     if not names:
         return text
-    separator = ", " if len(names) == recorder.files else ": "
+    separator = ", " if len(names) == status.files else ": "
     return text + separator + (names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}")
-
-
-def _vanished_text(event: Event) -> str:
-    if event.renamed:
-        return f"{event.path} was renamed while it was open; its bytes are under its new name"
-    return (
-        f"{event.path} was removed or replaced while it was open; its {event.lost:,} bytes are gone"
-    )
-
-
-def _disk_error(error: OSError, recorder: Recorder) -> Exception:
-    elsewhere = recorder.bytes_passed + recorder.bytes_vanished
-    missing = recorder.bytes_in - recorder.bytes_recorded - elsewhere
-    if not recorder.files:
-        rest = "nothing is recorded"
-    elif recorder.bytes_unsure:
-        rest = f"the last {missing:,} bytes may not be on the disk"
-    else:
-        rest = f"what was written is good, the last {missing:,} bytes are not in it"
-    return OSError(
-        f"STOPPED: {error.filename or recorder.last_file}: {error.strerror or error}; {rest}"
-    )
-
-
-def _gap_text(gap: Gap) -> str:
-    lost = "bytes are missing" if gap.lost < 0 else f"{gap.lost:,} bytes are lost"
-    return f"gap: {lost} at byte {gap.offset:,}: {_REASONS[gap.reason]}"
 
 
 def _bytes_text(count: float) -> str:

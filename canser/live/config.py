@@ -4,12 +4,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, TypedDict
 
 from canser._checks import choice, flag, instance, real, whole
 from canser.adapters import AdapterConfig
 
-__all__ = ["LEVELS", "LineConfig", "adapter_config", "flat_config"]
+__all__ = ["LEVELS", "LineConfig", "PortOptions", "adapter_config", "flat_config"]
 
 # What a modem line may be at opening.
 LEVELS: Final = ("leave", "on", "off")
@@ -75,6 +75,16 @@ class LineConfig:
                 raise ValueError(
                     f"ping is {self.ping:g}; it must be more than 0 seconds, and not infinite"
                 )
+
+
+class PortOptions(TypedDict, total=False):
+    """The keywords of `canser.open` that a recording takes, too."""
+
+    bitrate: int | None
+    config: AdapterConfig | None
+    line: LineConfig | None
+    ts_unit: str
+    reconnect: bool
 
 
 def adapter_config(bitrate: int | None, config: AdapterConfig | None) -> AdapterConfig | None:

@@ -1,16 +1,15 @@
 """Live ports: frames in batches, with host times; sending; the adapter's own commands."""
 
 import contextlib
-import functools
 import os
 import sys
 import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
 from dataclasses import replace
-from typing import Final, NamedTuple, Self, TypeVar
+from typing import Final, NamedTuple, Self, TypeVar, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -30,9 +29,13 @@ from canser.errors import PortClosedError, PortError, SendError, SendTimeoutErro
 from canser.live.config import LineConfig, adapter_config
 from canser.live.line import Line, open_line
 from canser.live.reader import NO_MORE, LineReader
+from canser.live.recorder import OnEvent, Recorder
+from canser.live.recording import RecordConfig, RecordingJob, RecordOptions
 from canser.live.ring import Gap, Ring
 from canser.live.stream import LiveStream, OnBytes, Watchdog
+from canser.recording.recording import RecordingInfo
 from canser.timing.clocks import ClockEstimate
+from canser.timing.host import HostClock
 from canser.timing.loop import TimedDecoder
 
 __all__ = ["Gap", "Port", "PortInfo", "list_ports", "open"]
@@ -169,8 +172,9 @@ class Port(Uncopied):
         self.baudrate = line.baudrate
         row = find_protocol(self.protocol)
         self._ts_unit, self._clocked, self._frame_min = ts_unit, row.has_clock, row.frame_min
-        self._clock = host_clock()
+        self._clock = HostClock()
         self._opened_ns = self._clock()
+        self._ring_size = line.ring_size
         try:
             self._ring = Ring(line.ring_size)
         except (MemoryError, OverflowError):
@@ -196,13 +200,10 @@ class Port(Uncopied):
             # Of the reader alone: the stream must not hold the port.
             reader = self._reader
             self._watchdog = Watchdog(line.ping, self._clock, lambda: reader.last_heartbeat)
-        self._stream = LiveStream(
-            url,
-            self._ring,
-            TimedDecoder(decoder, _BYTE_BITS * 1e9 / self.baudrate, device_time=device_time),
-            on_bytes=on_bytes,
-            watchdog=self._watchdog,
+        self._stream = self._make_stream(
+            self._ring, decoder, device_time=device_time, on_bytes=on_bytes
         )
+        self._recorders: list[Recorder] = []
         self._closed = False
 
     def __repr__(self) -> str:
@@ -379,6 +380,66 @@ class Port(Uncopied):
         """Whether `close` was called."""
         return self._closed
 
+    # Recording
+
+    def record(
+        self,
+        path: str,
+        *,
+        on_event: OnEvent | None = None,
+        **options: Unpack[RecordOptions],
+    ) -> Recorder:
+        """Record all bytes from now on, in a thread, whether the port is read or not.
+
+        Parameters
+        ----------
+        path : str
+            A name that ends in `.pcapng`.
+        on_event : callable, optional
+            Is called with each `RecorderEvent`, by that thread.
+        **options
+            `size`, `time`, `keep`, `triggers`, `before`, `after` and `force`, as for
+            `RecordConfig`.
+
+        Returns
+        -------
+        Recorder
+            A context manager. The recording ends with it, and with the port.
+
+        Raises
+        ------
+        TypeError, ValueError
+            For an argument that is wrong.
+        OutputExistsError, FileNotFoundError, PermissionError
+            For a path that will not do.
+        OSError
+            For a file that cannot be made.
+        PortClosedError
+            When the port is closed.
+
+        Examples
+        --------
+        >>> with canser.open("/dev/ttyUSB0", "seeed") as port:  # doctest: +SKIP
+        ...     with port.record("run.pcapng", size="100M", keep=20) as recorder:
+        ...         for batch in port.batches():
+        ...             print(len(batch), recorder.status.bytes_recorded)
+        """
+        self._check_open()
+        config = RecordConfig(**options)
+        info = RecordingInfo(self.protocol, self.baudrate, self.bitrate, self._ts_unit, self.url)
+        files = config.make_files(path, info)
+        ring = Ring(self._ring_size)
+        # A decoder of its own: it tells where packets end, and finds triggers.
+        stream = self._make_stream(ring, Decoder(self.protocol, ts_unit=self._ts_unit))
+
+        def make_job(tell: OnEvent) -> RecordingJob:
+            return RecordingJob(stream, files, config, self._clock, bitrate=self.bitrate, tell=tell)
+
+        recorder = Recorder(self.url, make_job, self._reader, ring, on_event)
+        self._recorders = [other for other in self._recorders if not other.closed]
+        self._recorders.append(recorder)
+        return recorder
+
     # Writing
 
     def send(self, frames: FrameItems, *, timeout: float | None = None) -> int:
@@ -530,10 +591,23 @@ class Port(Uncopied):
         self._closed = True
         if self._pid != os.getpid():
             return  # the parent's: its thread is not here, and its line stays open
-        self._ring.close(PortClosedError(f"{self.url} is closed"))
+        self._reader.end(PortClosedError(f"{self.url} is closed"))
         self._reader.close()
+        for recorder in self._recorders:
+            recorder.end()
 
     # Inside
+
+    def _make_stream(
+        self,
+        ring: Ring,
+        decoder: Decoder,
+        *,
+        device_time: bool = False,
+        on_bytes: OnBytes | None = None,
+    ) -> LiveStream:
+        loop = TimedDecoder(decoder, _BYTE_BITS * 1e9 / self.baudrate, device_time=device_time)
+        return LiveStream(self.url, ring, loop, on_bytes=on_bytes, watchdog=self._watchdog)
 
     def _check_open(self) -> None:
         if self._closed:
@@ -601,16 +675,6 @@ def _empty(items: deque[_T]) -> list[_T]:
         while True:
             taken.append(items.popleft())
     return taken
-
-
-def host_clock() -> Callable[[], int]:
-    """Return a clock of epoch nanoseconds that does not step when the host's is set."""
-    steady = time.monotonic_ns
-    if hasattr(time, "CLOCK_BOOTTIME"):
-        # It goes on while the machine sleeps, as Linux' monotonic clock does not.
-        steady = functools.partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME)
-    base = time.time_ns() - steady()
-    return lambda: base + steady()
 
 
 class PortInfo(NamedTuple):

@@ -70,6 +70,10 @@ class LineReader:
         self._writing = threading.Lock()
         self._rest = memoryview(b"")  # of a packet whose start went out
         self._closing = threading.Event()
+        # Held to change the rings besides, and to end them.
+        self._rings_lock = threading.Condition()  # reentrant, as the other one
+        self._more_rings: tuple[Ring, ...] = ()
+        self._ended: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="canser reader", daemon=True)
         try:
             start_thread(self._thread, url, PortError)
@@ -107,6 +111,26 @@ class LineReader:
             self._writing.release()
         return written, why
 
+    def add_ring(self, ring: Ring) -> None:
+        """Put all bytes from now on into this ring, too."""
+        with self._rings_lock:
+            if self._ended is not None:
+                ring.close(self._ended)
+            self._more_rings += (ring,)
+
+    def remove_ring(self, ring: Ring) -> None:
+        """Put no more bytes into a ring that was added."""
+        with self._rings_lock:
+            self._more_rings = tuple(other for other in self._more_rings if other is not ring)
+
+    def end(self, error: Exception) -> None:
+        """End the stream: behind what is in the rings comes nothing but `error`."""
+        self._ring.close(error)
+        with self._rings_lock:
+            self._ended = self._ended or error
+            for ring in self._more_rings:
+                ring.close(error)
+
     def unwritten(self) -> int:
         """Return how many written bytes have not gone out; PortGoneError without a line."""
         with self._line_lock:
@@ -124,6 +148,7 @@ class LineReader:
         must_not_wait = (
             self._thread is threading.current_thread()
             or holds(self._line_lock)
+            or holds(self._rings_lock)
             or self._ring.locked_here
         )
         with self._line_lock:
@@ -165,7 +190,7 @@ class LineReader:
         try:
             self._keep_draining()
         except Exception as error:  # noqa: BLE001 - a reader would wait for ever
-            self._ring.close(error)
+            self.end(error)
         finally:
             if self._closing.is_set():
                 self._finish()
@@ -181,10 +206,12 @@ class LineReader:
                     self._line = None
                 line.close()
                 if not self._reconnect or not isinstance(error, PortGoneError):
-                    self._ring.close(error)
+                    self.end(error)
                     return
                 self.last_heartbeat = 0
-                self._ring.interrupt(self._clock(), "reconnect")
+                now = self._clock()
+                for ring in (self._ring, *self._more_rings):
+                    ring.interrupt(now, "reconnect")
                 self._come_back()
 
     def _drain(self, line: Line) -> None:
@@ -205,10 +232,13 @@ class LineReader:
             count = line.read_into(scratch if room is None else room, timeout)
             if not count:
                 continue
+            ns = clock()
             if room is None:
-                self._keep(scratch[:count])
+                ring.append(scratch[:count], ns)
             else:
-                ring.put(count, clock())
+                ring.put(count, ns)
+            for other in self._more_rings:
+                other.append((scratch if room is None else room)[:count], ns)
             came += count
             if rest and count < _SMALL:
                 time.sleep(rest)
@@ -217,16 +247,6 @@ class LineReader:
                 # Faster than its bits are lines that have none, such as pseudo terminals.
                 rest = 0.0 if busy > 1.5 else _REST_BUSY_S if busy > _BUSY else _REST_S
                 begin, came = now, 0
-
-    def _keep(self, data: memoryview) -> None:
-        """Put bytes that came while the ring was full where there is room by now."""
-        while data and (room := self._ring.room()) is not None:
-            count = min(len(data), len(room))
-            room[:count] = data[:count]
-            self._ring.put(count, self._clock())
-            data = data[count:]
-        if data:
-            self._ring.lose(len(data), self._clock())
 
     def _send_heartbeat(self, line: Line) -> None:
         # Never into the middle of a packet: then the next one will do.

@@ -31,6 +31,11 @@ class Read(NamedTuple):
     ns: int  # epoch nanoseconds at which they had arrived
 
 
+# Reads that no thread has seen yet: of so many each two neighbours become one. The earlier bytes of
+# such a read are dated from the line's rate. A reader that waits a millisecond after each read
+# reaches this number after half a minute, in which its ring is not emptied.
+_READS_MOST: Final = 1 << 15
+
 # A ring that was full takes bytes again when so much of it is free: one long gap
 # instead of many short ones, each of which costs the frames at its edges.
 _FREE_AGAIN: Final = 1 / 16
@@ -88,11 +93,37 @@ class Ring:
     def put(self, count: int, ns: int) -> None:
         """Take notice of bytes that were put there, and had arrived by `ns`."""
         with self._lock:
+            if len(self._reads) >= _READS_MOST and len(self._reads) % _READS_MOST == 0:
+                self._merge_reads()
             self._reads.append(Read(self._end, self._end + count, ns))
             self._end += count
             self._set_signal()
             if self._end - self._begin >= self._wanted:
                 self._tell()
+
+    def append(self, data: memoryview, ns: int) -> None:
+        """Put bytes that had arrived by `ns`; count those that there is no room for."""
+        while data and (room := self.room()) is not None:
+            count = min(len(data), len(room))
+            room[:count] = data[:count]
+            self.put(count, ns)
+            data = data[count:]
+        if data:
+            self.lose(len(data), ns)
+
+    def _merge_reads(self) -> None:
+        """Make one read of each two neighbours that lie in one piece of memory, without a gap."""
+        apart = {gap.offset for gap in self._gaps}
+        merged: deque[Read] = deque()
+        single = False  # whether the last one is not a pair yet
+        for read in self._reads:
+            if single and read.begin % self._size and read.begin not in apart:
+                merged[-1] = Read(merged[-1].begin, read.end, read.ns)
+                single = False
+            else:
+                merged.append(read)
+                single = True
+        self._reads = merged
 
     def lose(self, count: int, ns: int) -> None:
         """Count bytes that came while the ring was full."""

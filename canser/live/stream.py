@@ -75,7 +75,8 @@ class LiveStream:
         self.controls: deque[Control] = deque(maxlen=_KEPT)
         self.gaps: deque[Gap] = deque(maxlen=_KEPT)
         self.status: AdapterReport | None = None  # the last one that came
-        self._url, self._on_bytes, self._watchdog = url, on_bytes, watchdog
+        self.on_bytes = on_bytes
+        self.url, self._watchdog = url, watchdog
         row = find_protocol(self.decoder.protocol)
         self._frame_min = row.frame_min
         self._frames = np.empty(_ROOM, FRAME_DTYPE)
@@ -91,6 +92,7 @@ class LiveStream:
         self._searching = False  # the ping is lost: look for it among the bytes
         self._looked = (0, 0)  # bytes in and skipped when the share was last looked at
         self._warned: set[str] = set()
+        self.on_warning: Callable[[str], None] | None = None  # None: Python's warnings
 
     # Frames
 
@@ -165,8 +167,8 @@ class LiveStream:
 
     def tell_missing(self) -> None:
         """Tell `on_bytes` of missing bytes that no others have followed."""
-        if self._missing and self._on_bytes is not None:
-            self._on_bytes(memoryview(b""), self._arrived, self._missing)
+        if self._missing and self.on_bytes is not None:
+            self.on_bytes(memoryview(b""), self._arrived, self._missing)
             self._missing = 0
 
     def _make_room(self, most: int) -> int:
@@ -222,8 +224,8 @@ class LiveStream:
             self.loop.clock.arrivals.add(read.end, read.ns)
             self._arrived = read.ns
             self._fresh = True
-            if self._on_bytes is not None:
-                self._on_bytes(data[read.begin - begin : read.end - begin], read.ns, self._missing)
+            if self.on_bytes is not None:
+                self.on_bytes(data[read.begin - begin : read.end - begin], read.ns, self._missing)
                 self._missing = 0
         return data
 
@@ -246,7 +248,7 @@ class LiveStream:
             self._fresh = False
             self.loop.assign_times()
             if self.loop.clock.remark is not None:
-                self._warn("clock", f"{self._url}: {self.loop.clock.remark}")
+                self._warn("clock", f"{self.url}: {self.loop.clock.remark}")
 
     def _keep_controls(self) -> None:
         for control in self.decoder.take_controls():
@@ -288,7 +290,7 @@ class LiveStream:
             self.gaps.append(Gap(self.decoder.position, -1, seen, "watchdog"))
             self._warn(
                 "ping",
-                f"{self._url}: the ping does not come back; looking for the place where frames "
+                f"{self.url}: the ping does not come back; looking for the place where frames "
                 "start again. Is the adapter on, and the baud rate right?",
             )
 
@@ -300,7 +302,7 @@ class LiveStream:
         # A new one: it may be raised again and again, in several threads.
         if isinstance(error, PortError):
             return type(error)(str(error))
-        return PortError(f"{self._url}: {type(error).__name__} {error}".rstrip())
+        return PortError(f"{self.url}: {type(error).__name__} {error}".rstrip())
 
     # Warnings
 
@@ -314,12 +316,16 @@ class LiveStream:
             share = bad / came
             self._warn(
                 "share",
-                f"{self._url}: {share:.0%} of the bytes are in no {self.decoder.protocol} frame; "
+                f"{self.url}: {share:.0%} of the bytes are in no {self.decoder.protocol} frame; "
                 "are the baud rate and the protocol right?",
             )
 
     def _warn(self, kind: str, text: str) -> None:
         """Warn, once of each kind."""
-        if kind not in self._warned:
-            self._warned.add(kind)
+        if kind in self._warned:
+            return
+        self._warned.add(kind)
+        if self.on_warning is not None:
+            self.on_warning(text)
+        else:
             warnings.warn(text, CanserWarning, stacklevel=6)

@@ -15,9 +15,10 @@ from textual.widgets import Footer, Input, Static
 from canser._frames import FRAME_DTYPE
 from canser.codec.decoder import Stats
 from canser.live.meter import Meter, Rates
-from canser.live.ports import Port, host_clock
+from canser.live.ports import Port
 from canser.monitoring._table import DESCENDING, Heading, Table
 from canser.monitoring.livetable import ROW_DTYPE, LiveTable, RowArray, choose, ordered
+from canser.timing.host import HostClock
 
 __all__ = ["Monitor"]
 
@@ -135,7 +136,7 @@ class Monitor(App[None]):
         self._bitrate = port.bitrate if bitrate is None else bitrate
         self._reader = _Reader(port, self._bitrate)
         self._stats = port.stats
-        self._clock = host_clock()
+        self._clock = HostClock()
         self._begin = time.monotonic()
         self._paused = self._ended = False
         self._before = ""  # the filter, while another one is typed

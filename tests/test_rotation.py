@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import canser
-import canser.recording.recorder
+import canser.recording.rotation
 import shared  # noqa: F401 - Hypothesis' settings
-from canser.recording.recorder import Recorder
 from canser.recording.recording import Recording, RecordingInfo, RecordingWriter
+from canser.recording.rotation import RecordingFiles
 from canser.simulation.traffic import vehicle
 
 INFO = RecordingInfo("seeed", 2_000_000, 500_000, "ms", "/dev/test")
@@ -62,7 +62,7 @@ def border(offset: int) -> int:
 
 
 def feed(
-    recorder: Recorder,
+    recorder: RecordingFiles,
     raw: bytes = RAW,
     *,
     step: int = 1000,
@@ -83,7 +83,7 @@ def feed(
 
 
 def test_one_file_holds_all_bytes_and_their_times(tmp_path: Path) -> None:
-    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO)
+    recorder = RecordingFiles(str(tmp_path / "run.pcapng"), INFO)
     assert names(tmp_path) == []
     recorder.start(START)
     feed(recorder)
@@ -116,7 +116,7 @@ def test_files_by_turns_lose_no_byte_and_cut_no_frame(
 ) -> None:
     folder = tmp_path_factory.mktemp("turns")
     raw = RAW[: ENDS[800]]
-    recorder = Recorder(
+    recorder = RecordingFiles(
         str(folder / "run.pcapng"),
         INFO,
         size=size,
@@ -142,7 +142,7 @@ def test_files_by_turns_lose_no_byte_and_cut_no_frame(
 
 
 def test_a_round_that_is_larger_than_a_file(tmp_path: Path) -> None:
-    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, size=5_000)
+    recorder = RecordingFiles(str(tmp_path / "run.pcapng"), INFO, size=5_000)
     recorder.start(START)
     for number in range(20):
         recorder.write(bytes([number]) * 1_000, START + number * MS)
@@ -155,7 +155,7 @@ def test_a_round_that_is_larger_than_a_file(tmp_path: Path) -> None:
 
 
 def test_time_turns_without_size(tmp_path: Path) -> None:
-    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, period_ns=200 * MS)
+    recorder = RecordingFiles(str(tmp_path / "run.pcapng"), INFO, period_ns=200 * MS)
     recorder.start(START)
     feed(recorder, RAW[: ENDS[800]])
     recorder.close()
@@ -174,7 +174,7 @@ def test_keep_deletes_the_oldest_of_this_run_only(tmp_path: Path) -> None:
     old.write_text("old")
     other = tmp_path / "run-1.pcapng"
     other.write_text("other")
-    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, size=3_000, keep=2)
+    recorder = RecordingFiles(str(tmp_path / "run.pcapng"), INFO, size=3_000, keep=2)
     recorder.start(START)
     feed(recorder, step=500)
     # One that was taken away is no error, and what has its name then is another file.
@@ -197,7 +197,7 @@ def test_keep_deletes_the_oldest_of_this_run_only(tmp_path: Path) -> None:
 
 
 def test_numbers_that_somebody_else_takes_are_left_out(tmp_path: Path) -> None:
-    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, size=20_000)
+    recorder = RecordingFiles(str(tmp_path / "run.pcapng"), INFO, size=20_000)
     (tmp_path / "run-000001.pcapng").write_text("theirs")
     recorder.start(START)
     feed(recorder, RAW[:1000])
@@ -210,7 +210,7 @@ def test_force_replaces_and_counts_from_one(tmp_path: Path) -> None:
     for name in ("run.pcapng", "run-000001.pcapng", "run-000009.pcapng"):
         (tmp_path / name).write_text("old")
     for size in (None, 1 << 20):
-        recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, force=True, size=size)
+        recorder = RecordingFiles(str(tmp_path / "run.pcapng"), INFO, force=True, size=size)
         recorder.start(START)
         feed(recorder)
         recorder.close()
@@ -222,14 +222,14 @@ def test_paths_that_will_not_do(tmp_path: Path) -> None:
     there = tmp_path / "run.pcapng"
     there.write_text("old")
     with pytest.raises(FileExistsError, match=r"run\.pcapng is there already; --force"):
-        Recorder(str(there), INFO)
+        RecordingFiles(str(there), INFO)
     with pytest.raises(ValueError, match=r"run\.bin is no name of a recording; .* \.pcapng"):
-        Recorder(str(tmp_path / "run.bin"), INFO)
+        RecordingFiles(str(tmp_path / "run.bin"), INFO)
     with pytest.raises(FileNotFoundError):
-        Recorder(str(tmp_path / "nowhere" / "run.pcapng"), INFO)
+        RecordingFiles(str(tmp_path / "nowhere" / "run.pcapng"), INFO)
     (tmp_path / "folder.pcapng").mkdir()
     with pytest.raises(FileExistsError, match="is no file"):
-        Recorder(str(tmp_path / "folder.pcapng"), INFO, force=True)
+        RecordingFiles(str(tmp_path / "folder.pcapng"), INFO, force=True)
     assert there.read_text() == "old"
 
 
@@ -240,11 +240,11 @@ def test_paths_that_will_not_do(tmp_path: Path) -> None:
 )
 def test_values_that_make_no_sense(tmp_path: Path, wrong: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=r"it must be|give their size|are 0 or more"):
-        Recorder(str(tmp_path / "run.pcapng"), INFO, **wrong)  # type: ignore[arg-type]
+        RecordingFiles(str(tmp_path / "run.pcapng"), INFO, **wrong)  # type: ignore[arg-type]
 
 
 def test_lost_bytes_stand_where_they_are_missing(tmp_path: Path) -> None:
-    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO)
+    recorder = RecordingFiles(str(tmp_path / "run.pcapng"), INFO)
     recorder.start(START)
     recorder.write(b"one", START, 0)
     recorder.write(b"two", START + MS, 17)
@@ -287,7 +287,7 @@ def test_what_surrounds_triggers_is_there_and_little_more(
 ) -> None:
     folder = tmp_path_factory.mktemp("triggers")
     raw = RAW[: ENDS[1500]]
-    recorder = Recorder(str(folder / "e.pcapng"), INFO, window_ns=(before * MS, after * MS))
+    recorder = RecordingFiles(str(folder / "e.pcapng"), INFO, window_ns=(before * MS, after * MS))
     recorder.start(START)
     every = 20 * MS
     feed(recorder, raw, step=step, every=every, triggers=times)
@@ -324,7 +324,7 @@ def test_what_surrounds_triggers_is_there_and_little_more(
 
 
 def test_triggers_whose_surroundings_touch_share_a_file(tmp_path: Path) -> None:
-    recorder = Recorder(str(tmp_path / "e.pcapng"), INFO, window_ns=(200 * MS, 100 * MS))
+    recorder = RecordingFiles(str(tmp_path / "e.pcapng"), INFO, window_ns=(200 * MS, 100 * MS))
     # The second begins 250 ms behind the first one's end, the third 100 ms behind the second's.
     feed(recorder, RAW, step=200, every=10 * MS, triggers=[300, 850, 1050])
     recorder.close()
@@ -338,7 +338,7 @@ def test_triggers_whose_surroundings_touch_share_a_file(tmp_path: Path) -> None:
 
 
 def test_without_a_trigger_there_is_no_file(tmp_path: Path) -> None:
-    recorder = Recorder(str(tmp_path / "e.pcapng"), INFO, window_ns=(SECOND, SECOND))
+    recorder = RecordingFiles(str(tmp_path / "e.pcapng"), INFO, window_ns=(SECOND, SECOND))
     recorder.start(START)
     feed(recorder)
     assert not recorder.recording
@@ -350,8 +350,8 @@ def test_without_a_trigger_there_is_no_file(tmp_path: Path) -> None:
 def test_what_waits_for_a_trigger_is_bounded_in_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(canser.recording.recorder, "MEMORY", 6_000)
-    recorder = Recorder(str(tmp_path / "e.pcapng"), INFO, window_ns=(3600 * SECOND, 0))
+    monkeypatch.setattr(canser.recording.rotation, "MEMORY", 6_000)
+    recorder = RecordingFiles(str(tmp_path / "e.pcapng"), INFO, window_ns=(3600 * SECOND, 0))
     feed(recorder, RAW[: ENDS[1000]], step=500)
     assert recorder.out_of_memory
     # Each round is two pieces, which take some memory besides their bytes.
@@ -365,7 +365,7 @@ def test_what_waits_for_a_trigger_is_bounded_in_memory(
 
 
 def test_long_events_are_cut_by_size(tmp_path: Path) -> None:
-    recorder = Recorder(
+    recorder = RecordingFiles(
         str(tmp_path / "e.pcapng"), INFO, window_ns=(0, 3600 * SECOND), size=5_000, keep=3
     )
     feed(recorder, step=500, triggers=[100])
@@ -376,7 +376,7 @@ def test_long_events_are_cut_by_size(tmp_path: Path) -> None:
 
 
 def test_arrival_of_a_byte(tmp_path: Path) -> None:
-    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO)
+    recorder = RecordingFiles(str(tmp_path / "run.pcapng"), INFO)
     recorder.start(START)
     for number in range(3):
         recorder.write(bytes(10), START + number)
@@ -392,7 +392,7 @@ def test_arrival_of_a_byte(tmp_path: Path) -> None:
 def test_a_full_disk_leaves_a_good_file_and_ends_it(tmp_path: Path, turns: bool) -> None:
     resource = pytest.importorskip("resource")
     more = {"size": 100_000} if turns else {}
-    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, **more)  # type: ignore[arg-type]
+    recorder = RecordingFiles(str(tmp_path / "run.pcapng"), INFO, **more)  # type: ignore[arg-type]
     recorder.start(START)
     bounds = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (8_000, bounds[1]))
@@ -415,7 +415,7 @@ def test_a_full_disk_leaves_a_good_file_and_ends_it(tmp_path: Path, turns: bool)
 def test_a_failed_sync_ends_it_and_the_rest_is_unsure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO)
+    recorder = RecordingFiles(str(tmp_path / "run.pcapng"), INFO)
     recorder.start(START)
     feed(recorder, RAW[: ENDS[500]])
     recorder.advance(recorder.bytes_in, START + 100 * SECOND)
@@ -439,7 +439,7 @@ def test_a_failed_sync_ends_it_and_the_rest_is_unsure(
 # Files that are removed, replaced or renamed while they are open
 
 
-def record_until(recorder: Recorder, raw: bytes, until_s: int) -> None:
+def record_until(recorder: RecordingFiles, raw: bytes, until_s: int) -> None:
     """Record bytes that end with a packet, and let a second of the clock go by."""
     ns = START + until_s * SECOND
     recorder.write(raw, ns - 500 * MS)
@@ -453,7 +453,7 @@ FIRST, NEXT, THIRD = (
 posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows lets no open file be moved")
 
 
-def vanished(recorder: Recorder) -> list[tuple[str, int, bool]]:
+def vanished(recorder: RecordingFiles) -> list[tuple[str, int, bool]]:
     return [
         (Path(event.path).name, event.lost, event.renamed)
         for event in recorder.events
@@ -472,7 +472,7 @@ def test_a_file_that_vanishes_is_told_and_another_one_goes_on(
     folder = tmp_path / "folder"
     folder.mkdir()
     path = folder / "run.pcapng"
-    recorder = Recorder(str(path), INFO, force=force)
+    recorder = RecordingFiles(str(path), INFO, force=force)
     recorder.start(START)
     record_until(recorder, FIRST, 1)
     new = path
@@ -509,7 +509,7 @@ def test_a_file_that_vanishes_is_told_and_another_one_goes_on(
 
 @posix
 def test_numbered_files_go_on_with_the_next_number(tmp_path: Path) -> None:
-    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, size=1 << 20, keep=2)
+    recorder = RecordingFiles(str(tmp_path / "run.pcapng"), INFO, size=1 << 20, keep=2)
     recorder.start(START)
     record_until(recorder, FIRST, 1)
     Path(recorder.file).unlink()
@@ -523,7 +523,7 @@ def test_numbered_files_go_on_with_the_next_number(tmp_path: Path) -> None:
 
 @posix
 def test_a_file_that_vanishes_in_the_last_second_is_told(tmp_path: Path) -> None:
-    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO)
+    recorder = RecordingFiles(str(tmp_path / "run.pcapng"), INFO)
     recorder.start(START)
     record_until(recorder, FIRST, 1)
     Path(recorder.file).unlink()
@@ -535,7 +535,7 @@ def test_a_file_that_vanishes_in_the_last_second_is_told(tmp_path: Path) -> None
 
 @posix
 def test_what_surrounds_a_trigger_goes_on_in_a_new_file(tmp_path: Path) -> None:
-    recorder = Recorder(str(tmp_path / "e.pcapng"), INFO, window_ns=(0, 60 * SECOND))
+    recorder = RecordingFiles(str(tmp_path / "e.pcapng"), INFO, window_ns=(0, 60 * SECOND))
     recorder.start(START)
     recorder.write(FIRST, START)
     recorder.advance(recorder.bytes_in, START, [START])
@@ -551,11 +551,11 @@ def test_what_surrounds_a_trigger_goes_on_in_a_new_file(tmp_path: Path) -> None:
 @posix
 def test_a_name_that_another_recorder_has_ends_it(tmp_path: Path) -> None:
     path = tmp_path / "run.pcapng"
-    recorder = Recorder(str(path), INFO)
+    recorder = RecordingFiles(str(path), INFO)
     recorder.start(START)
     record_until(recorder, FIRST, 1)
     path.rename(tmp_path / "moved.pcapng")
-    other = Recorder(str(path), INFO)
+    other = RecordingFiles(str(path), INFO)
     other.start(START)
     with pytest.raises(OSError, match="another program records into it now") as caught:
         record_until(recorder, NEXT, 3)
@@ -575,7 +575,7 @@ def test_a_file_system_that_does_not_know_its_files_is_not_asked(
 ) -> None:
     """On some network drives a file has another number each time."""
     monkeypatch.setattr(os.path, "samestat", lambda *_: False)
-    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, size=3_000, keep=2)
+    recorder = RecordingFiles(str(tmp_path / "run.pcapng"), INFO, size=3_000, keep=2)
     recorder.start(START)
     feed(recorder, step=500)
     recorder.close()
@@ -586,7 +586,7 @@ def test_a_file_system_that_does_not_know_its_files_is_not_asked(
 # The old file that is replaced by force
 
 
-def old_files(recorder: Recorder) -> list[tuple[str, str]]:
+def old_files(recorder: RecordingFiles) -> list[tuple[str, str]]:
     return [
         (event.kind, Path(event.path).name)
         for event in recorder.events
@@ -595,15 +595,17 @@ def old_files(recorder: Recorder) -> list[tuple[str, str]]:
 
 
 @pytest.fixture(params=[False, True], ids=["one", "numbered"])
-def forced(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Recorder, Path]:
+def forced(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[RecordingFiles, Path]:
     """Return a recorder that replaces an old file, and its path."""
     path = tmp_path / ("run-000001.pcapng" if request.param else "run.pcapng")
     path.write_text("old")
     size = 1 << 20 if request.param else None
-    return Recorder(str(tmp_path / "run.pcapng"), INFO, force=True, size=size), path
+    return RecordingFiles(str(tmp_path / "run.pcapng"), INFO, force=True, size=size), path
 
 
-def test_the_old_file_is_deleted_when_bytes_are_on_the_disk(forced: tuple[Recorder, Path]) -> None:
+def test_the_old_file_is_deleted_when_bytes_are_on_the_disk(
+    forced: tuple[RecordingFiles, Path],
+) -> None:
     recorder, path = forced
     old = path.with_name(f"{path.name}.old")
     assert path.read_text() == "old"
@@ -620,7 +622,7 @@ def test_the_old_file_is_deleted_when_bytes_are_on_the_disk(forced: tuple[Record
     assert old_files(recorder) == []
 
 
-def test_bytes_of_less_than_a_second_replace_it_too(forced: tuple[Recorder, Path]) -> None:
+def test_bytes_of_less_than_a_second_replace_it_too(forced: tuple[RecordingFiles, Path]) -> None:
     recorder, path = forced
     recorder.start(START)
     recorder.write(FIRST, START)
@@ -629,7 +631,7 @@ def test_bytes_of_less_than_a_second_replace_it_too(forced: tuple[Recorder, Path
     assert content(path) == FIRST
 
 
-def test_the_old_file_comes_back_when_no_byte_came(forced: tuple[Recorder, Path]) -> None:
+def test_the_old_file_comes_back_when_no_byte_came(forced: tuple[RecordingFiles, Path]) -> None:
     recorder, path = forced
     recorder.start(START)
     assert names(path.parent) == [path.name, f"{path.name}.old"]
@@ -642,7 +644,7 @@ def test_the_old_file_comes_back_when_no_byte_came(forced: tuple[Recorder, Path]
 
 @pytest.mark.parametrize("room", [0, 1000], ids=["header", "first block"])
 def test_the_old_file_comes_back_when_the_disk_is_full_at_once(
-    forced: tuple[Recorder, Path], room: int
+    forced: tuple[RecordingFiles, Path], room: int
 ) -> None:
     resource = pytest.importorskip("resource")
     recorder, path = forced
@@ -665,7 +667,7 @@ def test_the_old_file_comes_back_when_the_disk_is_full_at_once(
 
 
 def test_both_files_stay_where_it_is_not_sure_that_the_new_one_holds_anything(
-    forced: tuple[Recorder, Path], monkeypatch: pytest.MonkeyPatch
+    forced: tuple[RecordingFiles, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recorder, path = forced
     recorder.start(START)
@@ -686,7 +688,7 @@ def test_both_files_stay_where_it_is_not_sure_that_the_new_one_holds_anything(
 
 @posix
 def test_the_old_file_stays_where_the_new_one_vanishes_at_once(
-    forced: tuple[Recorder, Path],
+    forced: tuple[RecordingFiles, Path],
 ) -> None:
     recorder, path = forced
     recorder.start(START)
@@ -704,7 +706,7 @@ def test_an_old_file_that_was_set_aside_earlier_is_not_replaced(tmp_path: Path) 
         old = tmp_path / f"run{number}.pcapng.old"
         old.write_text("old")
         with pytest.raises(FileExistsError, match=rf"{old.name} is there already, as a run"):
-            Recorder(
+            RecordingFiles(
                 str(tmp_path / "run.pcapng"), INFO, force=True, size=1 << 20 if number else None
             )
         assert (path.read_text(), old.read_text()) == ("new", "old")
@@ -714,13 +716,13 @@ def test_a_file_that_is_recorded_into_is_not_replaced(tmp_path: Path) -> None:
     path = tmp_path / "run.pcapng"
     with RecordingWriter(path, INFO) as writer:
         with pytest.raises(FileExistsError, match=r"another program records into .*run\.pcapng"):
-            Recorder(str(path), INFO, force=True)
+            RecordingFiles(str(path), INFO, force=True)
         writer.write(b"abc", START)
     assert content(path) == b"abc"
 
 
 def test_numbered_files_that_may_not_be_replaced_are_left_out(tmp_path: Path) -> None:
-    recorder = Recorder(str(tmp_path / "run.pcapng"), INFO, force=True, size=1 << 20)
+    recorder = RecordingFiles(str(tmp_path / "run.pcapng"), INFO, force=True, size=1 << 20)
     (tmp_path / "run-000001.pcapng").mkdir()
     with RecordingWriter(tmp_path / "run-000002.pcapng", INFO):
         recorder.start(START)

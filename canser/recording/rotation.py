@@ -15,21 +15,23 @@ from canser.errors import OutputExistsError
 from canser.recording._lock import is_locked
 from canser.recording._old import OldFile, check_replaceable
 from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.timing.arrivals import DataBlock, count_back
+from canser.timing.host import describe_step
 
-__all__ = ["MEMORY", "SUFFIX", "Event", "Recorder"]
+__all__ = ["MEMORY", "SUFFIX", "FileEvent", "RecordingFiles"]
 
 SUFFIX: Final = ".pcapng"
 
-# What waits for a trigger takes no more memory, in bytes. A piece takes so many besides its own.
+# What waits for a trigger takes no more memory, in bytes. A block takes so many besides its own.
 MEMORY: Final = 1 << 26
-_PIECE: Final = 200
+_BLOCK: Final = 200
 
 # What the format adds, at most: at the start and the end of a file, and to each block of it.
 _FILE_OVERHEAD: Final = 1024
 _BLOCK_OVERHEAD: Final = 72
 
 
-class Event(NamedTuple):
+class FileEvent(NamedTuple):
     """What has become of a file, or why it was begun."""
 
     kind: str  # "opened", "closed", "deleted", "vanished", "trigger", and of a file that was set
@@ -60,26 +62,20 @@ class _Own(NamedTuple):
         return same_size and os.path.samestat(there, self.identity)
 
 
-class _Piece(NamedTuple):
-    data: bytes
-    ns: int  # when its last byte had come
-    lost: int  # bytes that are missing before it, -1: not known how many
-
-
 @dataclass(frozen=True, slots=True)
 class _Segment:
-    """Pieces between two ends of packets: nothing in it belongs to a packet outside."""
+    """Bytes between two ends of packets: nothing in it belongs to a packet outside."""
 
-    pieces: list[_Piece]
+    blocks: list[DataBlock]
     begin_ns: int  # when its first byte came
     size: int  # bytes in it
 
     @property
     def end_ns(self) -> int:
-        return self.pieces[-1].ns
+        return self.blocks[-1].arrival_ns
 
 
-class Recorder(Uncopied):
+class RecordingFiles(Uncopied):
     """Put the bytes of a port into recordings.
 
     `path` ends in SUFFIX. Without anything else it is the one file. With `size` (bytes of a
@@ -147,10 +143,11 @@ class Recorder(Uncopied):
         self.triggers = 0
         self.files = 0  # that were opened
         self.out_of_memory = False  # MEMORY was too small for all that came before a trigger
-        self.events: deque[Event] = deque()  # for the caller to take
+        self.events: deque[FileEvent] = deque()  # for the caller to take
         self._recorded = 0  # in files that are closed
-        self._fresh: deque[_Piece] = deque()  # not known to be decoded
+        self._fresh: deque[DataBlock] = deque()  # not known to be decoded
         self._settled = 0  # the stream offset of the first byte in there
+        self._settled_ns = 0  # when the byte before it came
         self._waiting: deque[_Segment] = deque()  # for a trigger
         self._waiting_size = 0
         self._until_ns = 0  # what comes by then is recorded
@@ -159,6 +156,9 @@ class Recorder(Uncopied):
         self.last_file = ""  # the path of the file that was opened last
         self._file_ns = self._file_bytes = 0
         self._last_ns = 0  # of what was recorded last
+        # What the system's clock is ahead of the one that times are from, and how far it was when
+        # the open file began.
+        self._ahead_ns = self._file_ahead_ns = 0
         self._broken = False  # the disk is full, or away
         self._old: OldFile | None = None  # what `force` set aside for the open file
         self._own: deque[_Own] = deque()  # files of this run that are there
@@ -197,8 +197,11 @@ class Recorder(Uncopied):
             self._open(now_ns)
 
     def write(self, data: memoryview | bytes, arrival_ns: int, lost: int = 0) -> None:
-        """Take bytes as they came; the arguments are those of a port's `on_bytes`."""
-        self._fresh.append(_Piece(bytes(data), arrival_ns, lost))
+        """Take bytes as they came; the arguments are those of a port's `on_bytes`.
+
+        Without bytes at the end: `lost` ones that none have followed.
+        """
+        self._fresh.append(DataBlock(bytes(data), arrival_ns, lost))
         self.bytes_in += len(data)
 
     def advance(self, border: int, now_ns: int, triggers: Iterable[int] = ()) -> None:
@@ -210,7 +213,7 @@ class Recorder(Uncopied):
         self._move_on(border, triggers)
         if self._writer is not None and not self._broken:
             with self._breaking():
-                self._writer.poll(now_ns)
+                self._writer.poll(now_ns + self._file_ahead_ns)
             self._settle_old(self._writer, closed=False)
             if self._writer.vanished:
                 self._replace(now_ns)
@@ -234,13 +237,26 @@ class Recorder(Uncopied):
                 self.out_of_memory = True
                 self._pass_oldest()
 
+    def clock_was_set(self, step_ns: int, now_ns: int) -> None:
+        """Take note that the system's clock was set: the next files have its time.
+
+        The open one goes on in the time that it began with, and has a note of it.
+        """
+        self._ahead_ns += step_ns
+        if self._writer is not None and not self._broken:
+            with self._breaking():
+                self._writer.note(
+                    f"{describe_step(step_ns)}; this recording goes on as before",
+                    now_ns + self._file_ahead_ns,
+                )
+
     def arrival_of(self, offset: int) -> int:
         """Return when the byte at a stream offset came that no `advance` has passed by."""
         at = self._settled
-        for piece in self._fresh:
-            at += len(piece.data)
+        for block in self._fresh:
+            at += len(block.data)
             if offset < at:
-                return piece.ns
+                return block.arrival_ns
         return self._last_ns
 
     def close(self) -> None:
@@ -256,26 +272,26 @@ class Recorder(Uncopied):
     # Inside
 
     def _settle(self, border: int) -> _Segment | None:
-        """Take the pieces before a stream offset."""
-        pieces: list[_Piece] = []
-        begin = self._settled
-        while self._fresh and self._settled < border:
-            piece = self._fresh.popleft()
-            fits = border - self._settled
-            if fits < len(piece.data):
-                behind = len(piece.data) - fits
-                self._fresh.appendleft(piece._replace(data=piece.data[fits:], lost=0))
-                came = piece.ns - round(behind * self._info.byte_ns)
-                # But not before what was there already: a line may be faster than it says.
-                piece = piece._replace(
-                    data=piece.data[:fits], ns=max(came, pieces[-1].ns) if pieces else came
-                )
-            self._settled += len(piece.data)
-            pieces.append(piece)
-        if not pieces:
+        """Take the bytes before a stream offset."""
+        blocks: list[DataBlock] = []
+        begin, byte_ns = self._settled, self._info.byte_ns
+        # At the end there may be a block without bytes: others were lost that none followed.
+        while self._fresh and (self._settled < border or not self._fresh[0].data):
+            block = self._fresh.popleft()
+            fits, behind = border - self._settled, 0
+            if fits < len(block.data):
+                behind = len(block.data) - fits
+                self._fresh.appendleft(block._replace(data=block.data[fits:], lost=0))
+                came = count_back(block.arrival_ns, behind, byte_ns, self._settled_ns)
+                block = block._replace(data=block.data[:fits], arrival_ns=came)
+            if not blocks:
+                begin_ns = count_back(block.arrival_ns, len(block.data), byte_ns, self._settled_ns)
+            self._settled += len(block.data)
+            self._settled_ns = block.arrival_ns
+            blocks.append(block)
+        if not blocks:
             return None
-        begin_ns = pieces[0].ns - round(len(pieces[0].data) * self._info.byte_ns)
-        return _Segment(pieces, begin_ns, self._settled - begin)
+        return _Segment(blocks, begin_ns, self._settled - begin)
 
     def _trigger(self, ns: int) -> None:
         assert self._window_ns is not None
@@ -284,7 +300,7 @@ class Recorder(Uncopied):
         # No trigger needs what is too old for this one.
         self._sift(ns - before)
         if ns > self._until_ns:
-            self.events.append(Event("trigger", self._file, ns))
+            self.events.append(FileEvent("trigger", self._file, ns))
         self._until_ns = max(self._until_ns, ns + after)
         if self._waiting:
             # What has triggered is in there, whenever its clock says that it was.
@@ -312,24 +328,24 @@ class Recorder(Uncopied):
 
     def _record(self, segment: _Segment) -> None:
         if self._size is None or segment.size <= self._size:
-            self._write(segment.pieces, segment.begin_ns, segment.size)
+            self._write(segment.blocks, segment.begin_ns, segment.size)
             return
         # Noise without an end: a file must end somewhere.
-        for piece in segment.pieces:
-            self._write([piece], piece.ns, len(piece.data))
+        for block in segment.blocks:
+            self._write([block], block.arrival_ns, len(block.data))
 
-    def _write(self, pieces: list[_Piece], begin_ns: int, size: int) -> None:
-        if self._writer is None or self._is_full(pieces[-1].ns, size):
+    def _write(self, blocks: list[DataBlock], begin_ns: int, size: int) -> None:
+        if self._writer is None or self._is_full(blocks[-1].arrival_ns, size):
             self._close_file()
             self._open(begin_ns)
         assert self._writer is not None
         if not self._file_bytes:
             self._file_ns = begin_ns  # the first one may have been open for long
-        for piece in pieces:
+        for block in blocks:
             with self._breaking():
-                self._writer.write(piece.data, piece.ns, piece.lost)
+                self._writer.write(block.data, block.arrival_ns + self._file_ahead_ns, block.lost)
         self._file_bytes += size
-        self._last_ns = pieces[-1].ns
+        self._last_ns = blocks[-1].arrival_ns
 
     def _is_full(self, end_ns: int, size: int) -> bool:
         assert self._writer is not None
@@ -370,16 +386,17 @@ class Recorder(Uncopied):
                     raise
                 # Another program counts here, too: its file stays, and the next number is taken.
         self._file, self._file_ns, self._file_bytes = str(path), ns, 0
+        self._file_ahead_ns = self._ahead_ns
         self.files += 1
         self.last_file = self._file
         self._own.append(_Own(self._file, self._writer.identity))
-        self.events.append(Event("opened", self._file, ns))
+        self.events.append(FileEvent("opened", self._file, ns))
         if self._keep is not None and len(self._own) > self._keep:
             oldest = self._own.popleft()
             # It may have been taken away, and another file may have its name.
             if oldest.is_there():
                 Path(oldest.path).unlink(missing_ok=True)
-                self.events.append(Event("deleted", oldest.path, ns))
+                self.events.append(FileEvent("deleted", oldest.path, ns))
 
     def _create(self, path: Path) -> RecordingWriter:
         """Return a new file; a file that is there is set aside if it may be replaced."""
@@ -407,11 +424,11 @@ class Recorder(Uncopied):
             elif not writer.bytes_written and not writer.vanished:
                 old.put_back()
                 self._own.pop()
-                self.events.append(Event("restored", str(old.name), self._last_ns))
+                self.events.append(FileEvent("restored", str(old.name), self._last_ns))
             else:
-                self.events.append(Event("set_aside", str(old.path), self._last_ns))
+                self.events.append(FileEvent("set_aside", str(old.path), self._last_ns))
         except OSError:  # the recording goes on
-            self.events.append(Event("set_aside", str(old.path), self._last_ns))
+            self.events.append(FileEvent("set_aside", str(old.path), self._last_ns))
         self._old = None
 
     def _close_file(self) -> None:
@@ -434,11 +451,11 @@ class Recorder(Uncopied):
             # What has come to its name since is none of the files that may be replaced.
             self._force = self._force and self._numbered
             lost = 0 if writer.renamed else writer.bytes_written
-            self.events.append(Event("vanished", file, self._last_ns, lost, writer.renamed))
+            self.events.append(FileEvent("vanished", file, self._last_ns, lost, writer.renamed))
             self.bytes_vanished += lost
         else:
             self._own[-1] = _Own(file, writer.identity, closed=True)
-            self.events.append(Event("closed", file, self._last_ns))
+            self.events.append(FileEvent("closed", file, self._last_ns))
         if not writer.vanished or writer.renamed:
             self._recorded += writer.bytes_synced
             self.bytes_unsure += writer.bytes_written - writer.bytes_synced
@@ -479,4 +496,4 @@ class Recorder(Uncopied):
 
 
 def _memory(segment: _Segment) -> int:
-    return segment.size + _PIECE * len(segment.pieces)
+    return segment.size + _BLOCK * len(segment.blocks)

@@ -1,0 +1,43 @@
+"""Times and sizes as people write them: 500ms, 1h, 100M."""
+
+import re
+from fractions import Fraction
+from typing import Final
+
+__all__ = ["is_duration", "parse_bytes", "parse_seconds"]
+
+_DURATION: Final = re.compile(r"(?P<number>[0-9]+(?:\.[0-9]+)?)(?: *(?P<unit>ms|s|min|m|h|d))?")
+_SECONDS: Final = {"ms": 0.001, "s": 1, "min": 60, "m": 60, "h": 3600, "d": 86400, None: 1}
+
+# Nanoseconds of it fit in 64 bits.
+_DAYS_MOST: Final = 100_000
+
+_BYTE_COUNT: Final = re.compile(r"(?P<number>[0-9]+(?:\.[0-9]+)?)(?: *(?:(?P<unit>[kKMG]i?)B?|B))?")
+_UNITS: Final = {
+    None: 1, "k": 10**3, "K": 10**3, "M": 10**6, "G": 10**9,
+    "ki": 1 << 10, "Ki": 1 << 10, "Mi": 1 << 20, "Gi": 1 << 30,
+}  # fmt: skip
+
+
+def is_duration(text: str) -> bool:
+    """Return whether a text is a time such as 90s."""
+    return _DURATION.fullmatch(text) is not None
+
+
+def parse_seconds(text: str) -> float:
+    """Return the seconds of a time such as 500ms, 5s, 10m, 1h or 2d; or raise ValueError."""
+    found = _DURATION.fullmatch(text)
+    if found is None:
+        raise ValueError(f"cannot read the time {text!r}; write 500ms, 5s, 10m, 1h")
+    seconds = float(found["number"]) * _SECONDS[found["unit"]]
+    if seconds > _DAYS_MOST * 86400:
+        raise ValueError(f"the time {text} is too long; give {_DAYS_MOST}d or less")
+    return seconds
+
+
+def parse_bytes(text: str) -> int:
+    """Return the bytes of a size such as 500k, 100M or 1.5Gi; or raise ValueError."""
+    found = _BYTE_COUNT.fullmatch(text)
+    if found is None:
+        raise ValueError(f"cannot read the size {text!r}; write 500k, 100M or 1G")
+    return int(Fraction(found["number"]) * _UNITS[found["unit"]])
