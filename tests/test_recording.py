@@ -29,6 +29,7 @@ from canser.recording.recording import (
     is_recording,
     recover,
 )
+from canser.timing.arrivals import DataBlock
 
 INFO = RecordingInfo("seeed", 2_000_000, 500_000, "us", "/dev/ttyUSB0")
 EPOCH = 1_700_000_000_123_456_789
@@ -771,7 +772,7 @@ def test_pieces_of_a_pipe_come_as_they_are_written() -> None:
         assert list(recorded_pieces) == []
 
 
-def _own(piece: recording.Piece) -> Got:
+def _own(piece: DataBlock) -> Got:
     return bytes(piece.data), piece.arrival_ns, piece.lost, piece.gap
 
 

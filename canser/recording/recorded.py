@@ -84,7 +84,7 @@ class RecordedFrames:
         for piece in self._recording:
             if piece.gap:
                 self._count_gap(piece.lost)
-            yield piece.data
+            yield memoryview(piece.data)
 
     def run(
         self, room: Callable[[], tuple[FrameArray, Offsets | None]]
@@ -121,7 +121,7 @@ class RecordedFrames:
 
     def _joined(self) -> Iterator[tuple[memoryview | bytes, bool]]:
         """Yield bytes to decode, small pieces as one, and whether there is a gap before them."""
-        small: list[memoryview] = []
+        small: list[memoryview | bytes] = []
         size, after_gap = 0, False
         for piece in self._recording:
             large = len(piece.data) >= _SMALL

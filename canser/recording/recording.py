@@ -27,9 +27,9 @@ from canser.errors import RecordingError
 from canser.recording import pcapng
 from canser.recording._lock import lock
 from canser.recording.pcapng import Enhanced, Order
+from canser.timing.arrivals import DataBlock, count_back
 
 __all__ = [
-    "Piece",
     "Recording",
     "RecordingInfo",
     "RecordingWriter",
@@ -110,15 +110,6 @@ class RecordingInfo:
     def byte_ns(self) -> float:
         """The time of a byte on the line: start bit, 8 bits, stop bit."""
         return 10e9 / self.baudrate
-
-
-class Piece(NamedTuple):
-    """Some bytes of a recording, and when they came."""
-
-    data: memoryview
-    arrival_ns: int  # epoch, of the last byte
-    lost: int  # bytes lost right before; -1: not known how many
-    gap: bool  # bytes are missing right before, or may be
 
 
 def is_recording(head: bytes) -> bool:
@@ -229,9 +220,7 @@ class RecordingWriter(Uncopied):
         for begin in range(0, len(data), CHUNK_MAX):
             part = data[begin : begin + CHUNK_MAX]
             behind = len(data) - begin - len(part)
-            came = arrival_ns - round(behind * self.info.byte_ns)
-            # But not before what was there already: the line may be faster than it says.
-            self._add(part, min(max(came, self._last_ns), arrival_ns))
+            self._add(part, count_back(arrival_ns, behind, self.info.byte_ns, self._last_ns))
         self.poll(arrival_ns)
 
     def poll(self, now_ns: int) -> None:
@@ -448,14 +437,14 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-class Recording(Iterator[Piece]):
-    """The pieces of a recording in order: an iterator; a context manager.
+class Recording(Iterator[DataBlock]):
+    """The blocks of bytes of a recording in order: an iterator; a context manager.
 
     `source`: a path, or a file open for reading bytes, from where it stands; of any size,
-    in bounded memory; a pipe is read as its bytes come. `.info` tells of the line. A piece's
-    data is a view of the file, with the times of recordings behind one another as they are.
+    in bounded memory; a pipe is read as its bytes come. `.info` tells of the line. The data of
+    a block is a view of the file, with the times of recordings behind one another as they are.
 
-    What is torn or damaged is left out and named in `.remarks`; the piece behind it has a
+    What is torn or damaged is left out and named in `.remarks`; the block behind it has a
     gap of unknown length. Recordings of the same line may follow each other in the file;
     blocks of other kinds and interfaces are skipped. RecordingError if there is no interface
     of canser's; OSError for a file that cannot be read.
@@ -470,7 +459,7 @@ class Recording(Iterator[Piece]):
             self.close()
             raise
 
-    def __next__(self) -> Piece:
+    def __next__(self) -> DataBlock:
         for block in self._walk:
             if block.piece is not None:
                 return block.piece
@@ -546,7 +535,7 @@ class _Block(NamedTuple):
 
     kind: int
     whole: memoryview
-    piece: Piece | None = None
+    piece: DataBlock | None = None
     dropped_at: int = 0
 
 
@@ -676,7 +665,7 @@ class _Walk(Iterator[_Block]):
         # Asked before the damage is done with, so that a block tried here is the block taken.
         damaged = self._lost or self._damaged is not None
         lost = -1 if damaged or packet.dropped == _UNKNOWN else packet.dropped
-        piece = Piece(packet.data, packet.ts, lost, lost != 0 or self._gap)
+        piece = DataBlock(packet.data, packet.ts, lost, lost != 0 or self._gap)
         return _Block(pcapng.ENHANCED, whole, piece, packet.dropped_at)
 
     def _enter(self, block: _Block) -> None:
