@@ -23,8 +23,8 @@ import numpy.typing as npt
 
 import canser
 from canser._frames import FrameArray
+from canser.recording.header import RecordingInfo
 from canser.recording.recorder import Recorder
-from canser.recording.recording import RecordingInfo
 from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import vehicle
 from measure import machine

@@ -62,9 +62,9 @@ if TYPE_CHECKING:
     from canser.live.ports import list_ports as list_ports
     from canser.live.ports import open as open  # noqa: A004 - as in gzip.open
     from canser.live.ring import Gap as Gap
+    from canser.recording.header import RecordingInfo as RecordingInfo
     from canser.recording.recorder import Event as Event
     from canser.recording.recorder import Recorder as Recorder
-    from canser.recording.recording import RecordingInfo as RecordingInfo
     from canser.simulation.faults import Faults as Faults
     from canser.simulation.simulator import Simulator as Simulator
     from canser.simulation.simulator import SimulatorReport as SimulatorReport
@@ -155,7 +155,7 @@ _HOMES: Final = {
         "Event",
         "Recorder",
     ),
-    "canser.recording.recording": ("RecordingInfo",),
+    "canser.recording.header": ("RecordingInfo",),
     "canser.simulation.faults": ("Faults",),
     "canser.simulation.simulator": (
         "Simulator",

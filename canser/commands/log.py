@@ -62,8 +62,8 @@ from canser.errors import PortError, StreamClosedError
 from canser.live.meter import Meter
 from canser.live.ports import Port, host_clock
 from canser.live.ring import Gap
+from canser.recording.header import RecordingInfo
 from canser.recording.recorder import MEMORY, Event, Recorder
-from canser.recording.recording import RecordingInfo
 
 __all__ = ["add"]
 

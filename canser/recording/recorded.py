@@ -9,7 +9,8 @@ from canser._core.table import find_protocol
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser.codec.decoder import Decoder
 from canser.errors import RecordingError
-from canser.recording.recording import Recording, RecordingInfo
+from canser.recording.header import RecordingInfo
+from canser.recording.reader import Recording
 from canser.timing.clocks import FrameClock
 
 __all__ = ["RecordedFrames"]

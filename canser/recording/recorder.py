@@ -14,7 +14,8 @@ from canser._guards import Uncopied
 from canser.errors import OutputExistsError
 from canser.recording._lock import is_locked
 from canser.recording._old import OldFile, check_replaceable
-from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.writer import RecordingWriter
 
 __all__ = ["MEMORY", "SUFFIX", "Event", "Recorder"]
 
