@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from canser.live.recording import RecorderStatus as RecorderStatus
     from canser.live.ring import Gap as Gap
     from canser.live.run import record as record
-    from canser.recording.recording import RecordingInfo as RecordingInfo
+    from canser.recording.header import RecordingInfo as RecordingInfo
     from canser.simulation.faults import Faults as Faults
     from canser.simulation.simulator import Simulator as Simulator
     from canser.simulation.simulator import SimulatorReport as SimulatorReport
@@ -161,7 +161,7 @@ _HOMES: Final = {
     ),
     "canser.live.ring": ("Gap",),
     "canser.live.run": ("record",),
-    "canser.recording.recording": ("RecordingInfo",),
+    "canser.recording.header": ("RecordingInfo",),
     "canser.simulation.faults": ("Faults",),
     "canser.simulation.simulator": (
         "Simulator",

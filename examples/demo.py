@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 import canser
-from canser.recording.recording import Recording
+from canser.recording.reader import Recording
 
 FOLDER = Path("build/demo")
 SECONDS = 6

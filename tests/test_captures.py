@@ -22,7 +22,8 @@ from canser._frames import FRAME_DTYPE, FrameArray
 from canser.errors import CanserWarning, FormatError, NoProtocolError
 from canser.files import raw
 from canser.files.raw import BLOCK_FRAMES
-from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import line_noise, vehicle
 
 PROTOCOLS = canser.protocols()

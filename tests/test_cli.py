@@ -18,7 +18,8 @@ import pytest
 import canser
 from calls import BAD_CALL, BAD_DATA, GOOD, PATIENCE, assert_fails, command, environment, names, run
 from canser.commands import COMMANDS
-from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import line_noise, vehicle
 
 PROTOCOLS = canser.protocols()

@@ -16,7 +16,9 @@ import pytest
 import canser
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser.commands.cli import main
-from canser.recording.recording import Recording, RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.reader import Recording
+from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")

@@ -19,7 +19,8 @@ import canser
 import canser.commands._sending
 from canser.commands.cli import main
 from canser.files.candump import Writer
-from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")

@@ -18,7 +18,8 @@ import canser
 from canser import CanserWarning, FrameArray
 from canser.commands.cli import main
 from canser.files import formats
-from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
 from device import descriptors
 from reference import NO_TIME, Frame

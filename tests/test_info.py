@@ -11,7 +11,8 @@ import pytest
 import canser
 import shared
 from canser.commands.cli import main
-from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
 from reference import NO_TIME, Frame
 from samples import MILLISECOND, SECOND, array, info_of, timed

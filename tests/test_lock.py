@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from canser.recording._lock import is_locked, lock
-from canser.recording.recording import Recording, RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.reader import Recording
+from canser.recording.writer import RecordingWriter
 
 INFO = RecordingInfo("seeed", 2_000_000, 500_000, "us", "/dev/ttyUSB0")
 
@@ -61,7 +63,7 @@ def test_a_file_system_without_locks_does_without(
 def test_a_new_file_that_another_one_locks_first_is_left_to_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("canser.recording.recording.lock", lambda _: False)
+    monkeypatch.setattr("canser.recording.writer.lock", lambda _: False)
     path = tmp_path / "run.pcapng"
     with pytest.raises(FileExistsError, match="another program records into it") as caught:
         RecordingWriter(path, INFO)

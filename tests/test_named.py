@@ -17,7 +17,8 @@ from canser._named import named
 from canser._output import whole_file
 from canser.commands._source import opened
 from canser.commands.cli import main
-from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows has other files and names")

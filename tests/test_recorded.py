@@ -17,7 +17,8 @@ from calls import BAD_CALL, BAD_DATA, GOOD, assert_fails, names, run
 from canser import _input
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser.errors import CanserWarning, NoProtocolError, RecordingError
-from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
 from canser.timing.clocks import FrameClock
 

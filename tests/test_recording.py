@@ -21,14 +21,12 @@ import pytest
 import plain_pcapng
 from canser import _input
 from canser.errors import RecordingError
-from canser.recording import recording
-from canser.recording.recording import (
-    Recording,
-    RecordingInfo,
-    RecordingWriter,
-    is_recording,
-    recover,
-)
+from canser.recording import writer as writing
+from canser.recording.header import RecordingInfo, is_recording
+from canser.recording.reader import Recording
+from canser.recording.recovery import recover
+from canser.recording.writer import RecordingWriter
+from canser.timing.arrivals import DataBlock
 
 INFO = RecordingInfo("seeed", 2_000_000, 500_000, "us", "/dev/ttyUSB0")
 EPOCH = 1_700_000_000_123_456_789
@@ -238,7 +236,7 @@ def test_no_piece_gets_a_time_that_is_far_off(baudrate: int, traffic: str) -> No
     got, _ = listed(recorded(pieces, replace(INFO, baudrate=baudrate)))
     ends = np.cumsum([len(data) for data, *_ in pieces]) - 1
     off = np.array(rebuilt(got, baudrate))[ends] - np.array([ts for _, ts, _ in pieces])
-    assert np.abs(off).max() <= recording.TIME_ERROR_NS + 1
+    assert np.abs(off).max() <= writing.TIME_ERROR_NS + 1
     if traffic != "flood":
         # What the format costs is bounded by time, however small the pieces are.
         seconds = (came - EPOCH) / 1e9
@@ -361,7 +359,8 @@ def test_a_name_that_is_lost_is_seen_within_a_second_and_at_the_end(
 # A limit on the size of files is to the writer what a full disk is.
 FILLER = """
 import errno, random, resource, sys
-from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.writer import RecordingWriter
 
 path, room = sys.argv[1], int(sys.argv[2])
 resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
@@ -771,7 +770,7 @@ def test_pieces_of_a_pipe_come_as_they_are_written() -> None:
         assert list(recorded_pieces) == []
 
 
-def _own(piece: recording.Piece) -> Got:
+def _own(piece: DataBlock) -> Got:
     return bytes(piece.data), piece.arrival_ns, piece.lost, piece.gap
 
 
@@ -793,7 +792,7 @@ def test_memory_stays_bounded(tmp_path: Path) -> None:
             writer.write(data, EPOCH + second * 1000 * MS)
     code = (
         "import sys\n"
-        "from canser.recording.recording import Recording\n"
+        "from canser.recording.reader import Recording\n"
         "peak = lambda: int([line.split()[1] for line in open('/proc/self/status')"
         " if line.startswith('VmHWM')][0])\n"
         "before = peak()\n"

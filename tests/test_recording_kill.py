@@ -12,7 +12,8 @@ import pytest
 
 import plain_pcapng
 from canser.errors import RecordingError
-from canser.recording.recording import Recording, recover
+from canser.recording.reader import Recording
+from canser.recording.recovery import recover
 from long import LONG
 
 # More of them in `make soak`.
@@ -24,7 +25,8 @@ RUNS = int(os.environ.get("CANSER_KILLS", "200" if LONG else "50"))
 # is busy, and blocks are as large as they get; with 1 each piece is a block.
 KILLER = """
 import array, os, random, signal, sys, time
-from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.writer import RecordingWriter
 
 STREAM = memoryview(array.array("Q", range(1 << 22)))
 

@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 import canser
 import canser.recording.rotation
 import shared  # noqa: F401 - Hypothesis' settings
-from canser.recording.recording import Recording, RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.reader import Recording
 from canser.recording.rotation import RecordingFiles
+from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
 
 INFO = RecordingInfo("seeed", 2_000_000, 500_000, "ms", "/dev/test")

@@ -16,7 +16,8 @@ import pytest
 import canser
 from canser._frames import FrameArray
 from canser.files.candump import Writer
-from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")

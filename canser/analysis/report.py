@@ -10,7 +10,7 @@ import numpy.typing as npt
 from canser._frames import YEAR_2000_NS
 from canser.codec.decoder import Control, Stats
 from canser.files.fits import Fit
-from canser.recording.recording import RecordingInfo
+from canser.recording.header import RecordingInfo
 
 __all__ = [
     "conservation",

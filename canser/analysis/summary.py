@@ -21,7 +21,7 @@ from canser.files.fits import Fit, identify
 from canser.files.judge import check_protocol
 from canser.files.reader import ReadOptions
 from canser.files.reading import Blocks, FilePart, Progress, Source, Sources, listed
-from canser.recording.recording import RecordingInfo
+from canser.recording.header import RecordingInfo
 
 __all__ = ["FileInfo", "info", "rank_protocols", "summarise"]
 

@@ -4,7 +4,7 @@ import argparse
 
 from canser._output import check_apart, whole_file
 from canser.commands._parser import GOOD, Commands, add_command, write_line
-from canser.recording.recording import recover
+from canser.recording.recovery import recover
 
 __all__ = ["add"]
 

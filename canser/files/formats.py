@@ -28,7 +28,7 @@ from canser.files.foreign import HEAD_LEN, TEXT, recognise
 from canser.files.judge import is_auto
 from canser.files.reader import DecodedReader, Reader, ReadOptions
 from canser.files.writer import WriteOptions, Writer
-from canser.recording.recording import starts_recording
+from canser.recording.header import starts_recording
 
 __all__ = [
     "BUILT_IN",

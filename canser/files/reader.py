@@ -10,7 +10,7 @@ from canser._frames import FrameArray, put_records
 from canser._input import Input
 from canser.codec.decoder import Decoder
 from canser.files._remarks import Tell
-from canser.recording.recording import RecordingInfo
+from canser.recording.header import RecordingInfo
 
 __all__ = ["DecodedReader", "Parse", "ReadOptions", "Reader", "refill"]
 

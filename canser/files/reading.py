@@ -23,7 +23,7 @@ from canser.files.formats import choose_format, find_format
 from canser.files.judge import check_protocol
 from canser.files.raw import RawReader
 from canser.files.reader import Reader, ReadOptions, refill
-from canser.recording.recording import RecordingInfo
+from canser.recording.header import RecordingInfo
 
 __all__ = ["Blocks", "Notes", "Progress", "Source", "Sources", "blocks", "listed", "read"]
 

@@ -20,8 +20,10 @@ from canser.files.judge import describe_doubt, is_auto
 from canser.files.raw import BLOCK_FRAMES
 from canser.files.reader import Reader, ReadOptions
 from canser.files.writer import WriteOptions
+from canser.recording.header import RecordingInfo, is_recording
+from canser.recording.reader import Recording
 from canser.recording.recorded import RecordedFrames
-from canser.recording.recording import Recording, RecordingInfo, RecordingWriter, is_recording
+from canser.recording.writer import RecordingWriter
 
 __all__ = ["RecordingFile", "RecordingReader", "open_writer"]
 

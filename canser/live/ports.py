@@ -33,7 +33,7 @@ from canser.live.recorder import OnEvent, Recorder
 from canser.live.recording import RecordConfig, RecordingJob, RecordOptions
 from canser.live.ring import Gap, Ring
 from canser.live.stream import LiveStream, OnBytes, Watchdog
-from canser.recording.recording import RecordingInfo
+from canser.recording.header import RecordingInfo
 from canser.timing.clocks import ClockEstimate
 from canser.timing.host import HostClock
 from canser.timing.loop import TimedDecoder

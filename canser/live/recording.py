@@ -20,7 +20,7 @@ from canser.errors import CanserWarning
 from canser.live.meter import Meter, Rates
 from canser.live.ring import Gap
 from canser.live.stream import LiveStream
-from canser.recording.recording import RecordingInfo
+from canser.recording.header import RecordingInfo
 from canser.recording.rotation import MEMORY, FileEvent, RecordingFiles
 from canser.timing.host import ClockSteps, HostClock, describe_step
 

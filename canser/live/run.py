@@ -15,7 +15,7 @@ from canser.live.recording import (
     RecordingJob,
     RecordOptions,
 )
-from canser.recording.recording import RecordingInfo
+from canser.recording.header import RecordingInfo
 
 __all__ = ["JobOptions", "record"]
 

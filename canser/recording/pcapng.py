@@ -19,7 +19,9 @@ __all__ = [
     "LENGTH_MIN",
     "MAGIC",
     "SECTION",
+    "SECTION_MARK",
     "STATISTICS",
+    "UNKNOWN",
     "Enhanced",
     "Order",
     "block",
@@ -42,7 +44,7 @@ STATISTICS: Final = 5
 ENHANCED: Final = 6
 
 MAGIC: Final = 0x1A2B3C4D
-_SECTION_MARK: Final = struct.pack("<I", SECTION)
+SECTION_MARK: Final = struct.pack("<I", SECTION)
 _MAGICS: Final[dict[bytes, Order]] = {
     struct.pack("<I", MAGIC): "<",
     struct.pack(">I", MAGIC): ">",
@@ -55,6 +57,9 @@ LENGTH_MAX: Final = 1 << 24
 # Options of an enhanced packet block.
 _HASH, _DROPCOUNT = 3, 4
 _CRC32: Final = 2  # the hash's algorithm, its first byte
+
+# The drop count of a gap of unknown length.
+UNKNOWN: Final = (1 << 64) - 1
 
 # Type, length, interface, time high and low, captured and original length.
 _ENHANCED_HEAD: Final = {order: struct.Struct(f"{order}7I") for order in ("<", ">")}
@@ -70,12 +75,12 @@ _ENHANCED_TAIL: Final = struct.Struct("<HHBI3xHHQHHI")
 
 def is_pcapng(head: bytes) -> bool:
     """Return whether bytes, 12 are enough, start a section of pcapng."""
-    return head[:4] == _SECTION_MARK and bytes(head[8:12]) in _MAGICS
+    return head[:4] == SECTION_MARK and bytes(head[8:12]) in _MAGICS
 
 
 def section_order(head: bytes | memoryview) -> Order | None:
     """Return the byte order of a section by its first 12 bytes, None if it is none."""
-    return _MAGICS.get(bytes(head[8:12])) if head[:4] == _SECTION_MARK else None
+    return _MAGICS.get(bytes(head[8:12])) if head[:4] == SECTION_MARK else None
 
 
 def u16(data: memoryview, at: int, order: Order) -> int:

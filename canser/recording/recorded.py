@@ -8,7 +8,8 @@ from canser._core.buffers import Offsets
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser.codec.decoder import Decoder
 from canser.errors import RecordingError
-from canser.recording.recording import Recording, RecordingInfo
+from canser.recording.header import RecordingInfo
+from canser.recording.reader import Recording
 from canser.timing.loop import TimedDecoder
 
 __all__ = ["RecordedFrames"]
@@ -80,7 +81,7 @@ class RecordedFrames:
         for piece in self._recording:
             if piece.gap:
                 self._count_gap(piece.lost)
-            yield piece.data
+            yield memoryview(piece.data)
 
     def run(
         self, room: Callable[[], tuple[FrameArray, Offsets | None]]
@@ -111,7 +112,7 @@ class RecordedFrames:
 
     def _joined(self) -> Iterator[tuple[memoryview | bytes, bool]]:
         """Yield bytes to decode, small pieces as one, and whether there is a gap before them."""
-        small: list[memoryview] = []
+        small: list[memoryview | bytes] = []
         size, after_gap = 0, False
         for piece in self._recording:
             large = len(piece.data) >= _SMALL

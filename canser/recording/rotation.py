@@ -14,7 +14,8 @@ from canser._guards import Uncopied
 from canser.errors import OutputExistsError
 from canser.recording._lock import is_locked
 from canser.recording._old import OldFile, check_replaceable
-from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.writer import RecordingWriter
 from canser.timing.arrivals import DataBlock, count_back
 from canser.timing.host import describe_step
 

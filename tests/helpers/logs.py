@@ -7,7 +7,8 @@ import can
 
 import canser
 from canser._frames import NO_TIME, FrameArray
-from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
 from samples import EPOCH
 

@@ -1,0 +1,321 @@
+"""Write recordings: the raw bytes of a line with their times, append-only."""
+
+import contextlib
+import errno
+import os
+import struct
+import time
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO, Final, Self, cast
+
+from canser._guards import Uncopied
+from canser._input import Source
+from canser.recording import pcapng
+from canser.recording._lock import lock
+from canser.recording.header import RecordingInfo, make_header
+from canser.timing.arrivals import count_back
+
+__all__ = ["RecordingWriter"]
+
+# A chunk holds no more bytes, and is closed this long after its first byte came.
+CHUNK_MAX: Final = 1 << 16
+CHUNK_NS: Final = 250_000_000
+
+# A reader knows the time of a chunk's last byte, and counts back at the line's rate. The
+# chunk ends before a piece of it gets a time that is off by more than this: about what a
+# USB frame and the scheduler put onto a time anyway. So a chunk spans this much silence at
+# most, and there are no more than 500 chunks in a second besides the full ones: 64 bytes
+# each, 32 kB/s. (2,000 frames a second read one by one at 2,000,000 baud: 5 in a chunk, 26 kB/s
+# for as many bytes of frames.) On a line that is faster than it says, as a pseudo terminal
+# is, pieces of twice this time of the line, together, are in two chunks at the least.
+TIME_ERROR_NS: Final = 2_000_000
+
+_SYNC_NS: Final = 1_000_000_000
+
+# Options of the interface's statistics, as the standard numbers them.
+_START, _END, _RECEIVED, _DROPPED = 2, 3, 4, 5
+
+_HEAD_LEN: Final = len(pcapng.enhanced_head(0, 0))
+
+# Where there is nothing to be written through: a pipe, a terminal.
+_NO_SYNC: Final = {errno.EINVAL, errno.ENOTSUP, errno.EROFS}
+
+# What the system says of a name that is gone, alone or with its folder.
+_NO_FILE: Final = {errno.ENOENT, errno.ENOTDIR, errno.ESTALE}
+
+
+class RecordingWriter(Uncopied):
+    """Write a recording, block by block; a context manager.
+
+    `target`: the path of a file that is not there yet, or an empty file open for writing,
+    of which the descriptor is used. Each block is written by one call, whole, and written
+    through once a second: after a crash at any moment all blocks are good but the last. For
+    one thread at a time.
+
+    OSError where the disk is full: the file then ends with its last whole block, the writer
+    writes no more, and what was in the open chunk is lost. OSError, too, where the disk does
+    not take what was written: what came behind `bytes_synced` may then be lost. An error names
+    the path. FileExistsError for a path that is there. A path is locked until `close`.
+
+    Without `syncs` the file is written through at its end only, for what can be made again.
+    A chunk ends before counting back in it is off by more than `time_error_ns`.
+
+    `vanished` tells, as of the last second and of `close`, that the path is no more the name of
+    the file: it was removed, replaced or renamed. What is written goes into the file still.
+    """
+
+    def __init__(
+        self,
+        target: Source,
+        info: RecordingInfo,
+        *,
+        syncs: bool = True,
+        time_error_ns: int = TIME_ERROR_NS,
+    ) -> None:
+        self.info, self._syncs, self._time_error_ns = info, syncs, time_error_ns
+        self.bytes_written = 0  # of the line, without the format's own
+        self.bytes_synced = 0  # of these, those that are known to be on the disk
+        self.blocks_written = 0
+        self.vanished = False
+        self.renamed = False  # it has vanished, and has another name
+        self._room = bytearray()  # the open chunk: the block's head, and the bytes
+        self._crc32 = 0
+        self._first_ns = self._last_ns = 0  # of the pieces in the open chunk
+        self._shift_min = self._shift_max = 0.0
+        self._lost = self._lost_total = 0  # before the open chunk, and in all
+        self._times: tuple[int, int] | None = None  # of the first block and the last
+        self._synced_ns = 0
+        self._dirty = False
+        self._whole = 0  # the size of the file up to its last whole block
+        self._usable = True
+        self._opened: BinaryIO | None = None
+        header = make_header(info)  # a mistake shows before there is a file
+        self._path: Path | None = None
+        if isinstance(target, (str, os.PathLike)):
+            self._path = Path(target)
+            self._opened = file = cast(BinaryIO, self._path.open("xb", buffering=0))
+            if not lock(file.fileno()):
+                file.close()
+                raise FileExistsError(errno.EEXIST, "another program records into it", str(target))
+        else:
+            file = target
+        self._fd = file.fileno()
+        self._new_chunk()
+        # What the path is compared with; None where the system does not know a file again, as
+        # on some network drives.
+        self.identity: os.stat_result | None = None
+        try:
+            with self._naming():
+                self._write_block(header)
+                self._write_through()
+                if self._path is not None:
+                    _sync_folder(self._path.absolute().parent)
+                    own = os.fstat(self._fd)
+                    self.identity = own if _names_file(self._path, own) else None
+        except BaseException:
+            if self._path is not None:
+                file.close()
+                self._path.unlink(missing_ok=True)
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def write(self, data: memoryview | bytes, arrival_ns: int, lost: int = 0) -> None:
+        """Take bytes as they were read from the line; their last one came at `arrival_ns`.
+
+        `lost`: bytes of the line that are lost right before these, -1 for an unknown number.
+        The bytes are copied. While nothing comes call `poll` every 250 ms or so.
+        """
+        self._check_usable()
+        if lost:
+            self._close_chunk()
+            self._lost = _sum_lost(self._lost, lost)
+        # What is too large for a chunk, in parts: each came before the next on the line.
+        for begin in range(0, len(data), CHUNK_MAX):
+            part = data[begin : begin + CHUNK_MAX]
+            behind = len(data) - begin - len(part)
+            self._add(part, count_back(arrival_ns, behind, self.info.byte_ns, self._last_ns))
+        self.poll(arrival_ns)
+
+    def poll(self, now_ns: int) -> None:
+        """Close a chunk that is 250 ms old, and write through once a second."""
+        self._check_usable()
+        # A clock that was set back counts as late, here and below.
+        if not 0 <= now_ns - self._first_ns < CHUNK_NS:
+            self._close_chunk()
+        if self._syncs and not 0 <= now_ns - self._synced_ns < _SYNC_NS:
+            self._write_through()
+            self._synced_ns = now_ns
+            self._look_at_name()
+
+    def sync(self) -> None:
+        """Close the chunk, and write everything through to the disk."""
+        self._check_usable()
+        self._close_chunk()
+        self._write_through()
+
+    def close(self) -> None:
+        """Write what is open, the interface's statistics, and through to the disk."""
+        try:
+            if self._usable:
+                self._close_chunk()
+                self._write_block(self._statistics())
+                self._write_through()
+        finally:
+            self._usable = False
+            if self._opened is not None and not self._opened.closed:
+                with contextlib.suppress(OSError):
+                    self._look_at_name()
+                self._opened.close()
+
+    def _check_usable(self) -> None:
+        if not self._usable:
+            raise ValueError("the recording is closed, or its disk was full; start a new one")
+
+    def _add(self, part: memoryview | bytes, arrival_ns: int) -> None:
+        """Put a part into the open chunk, or into a new one if it does not fit."""
+        held = len(self._room) - _HEAD_LEN
+        # When a byte at the start of the chunk would have come for this part to come when it
+        # did. Differences between parts are the errors that counting back makes.
+        shift = arrival_ns - (held + len(part)) * self.info.byte_ns
+        if held and (
+            held + len(part) > CHUNK_MAX
+            or not 0 <= arrival_ns - self._first_ns < CHUNK_NS
+            or max(shift, self._shift_max) - min(shift, self._shift_min) > self._time_error_ns
+        ):
+            self._close_chunk()
+            held = 0
+            shift = arrival_ns - len(part) * self.info.byte_ns
+        if not held:
+            self._first_ns = arrival_ns
+            self._shift_min = self._shift_max = shift
+        self._shift_min = min(shift, self._shift_min)
+        self._shift_max = max(shift, self._shift_max)
+        self._last_ns = arrival_ns
+        self._crc32 = zlib.crc32(part, self._crc32)
+        self._room += part
+
+    def _new_chunk(self) -> None:
+        self._room = bytearray(_HEAD_LEN)
+        self._crc32 = 0
+        self._lost = 0
+
+    def _close_chunk(self) -> None:
+        """Write the open chunk, if there is anything in it."""
+        count = len(self._room) - _HEAD_LEN
+        if not count:
+            return
+        self._room[:_HEAD_LEN] = pcapng.enhanced_head(count, self._last_ns)
+        dropped = pcapng.UNKNOWN if self._lost < 0 else self._lost
+        self._room += pcapng.enhanced_tail(count, self._crc32, dropped)
+        self._write_block(self._room)
+        self.bytes_written += count
+        self.blocks_written += 1
+        self._lost_total += max(self._lost, 0)
+        self._times = (self._times[0] if self._times else self._last_ns, self._last_ns)
+        self._new_chunk()
+
+    def _write_block(self, block: bytes | bytearray) -> None:
+        """Write a block by one call, or leave the file as it was."""
+        try:
+            with self._naming():
+                done = os.write(self._fd, block)
+                # The system says why it took a part only when it is asked again.
+                while done < len(block):
+                    done += os.write(self._fd, memoryview(block)[done:])
+        except BaseException:
+            self._usable = False
+            self._cut()
+            with contextlib.suppress(OSError):
+                self._write_through()  # the blocks before it
+            raise
+        self._whole += len(block)
+        self._dirty = True
+
+    def _cut(self) -> None:
+        """Take the part of a block off the file's end."""
+        try:
+            os.ftruncate(self._fd, self._whole)
+            os.lseek(self._fd, self._whole, os.SEEK_SET)
+        except OSError:
+            pass  # no regular file: a pipe, a device
+
+    def _write_through(self) -> None:
+        if not self._dirty:
+            return
+        self._dirty = False
+        try:
+            with self._naming():
+                # Without the time of the last change, where the system knows the difference.
+                getattr(os, "fdatasync", os.fsync)(self._fd)
+        except OSError as error:
+            if error.errno not in _NO_SYNC:
+                # The system may have dropped what it could not write. It tells that once: a
+                # second call would succeed.
+                self._usable = False
+                raise
+        self.bytes_synced = self.bytes_written
+
+    def _look_at_name(self) -> None:
+        """See whether the path is still the name of the file."""
+        if self.identity is not None and self._path is not None:
+            self.vanished = self.vanished or not _names_file(self._path, self.identity)
+            self.identity = os.fstat(self._fd)
+            self.renamed = self.vanished and self.identity.st_nlink > 0
+
+    @contextlib.contextmanager
+    def _naming(self) -> Iterator[None]:
+        """Let an error name the file."""
+        try:
+            yield
+        except OSError as error:
+            if error.filename is None and self._path is not None:
+                error.filename = str(self._path)
+            raise
+
+    def _statistics(self) -> bytes:
+        """Return the block that ends a recording that was closed."""
+        times = () if self._times is None else zip((_START, _END), self._times, strict=True)
+        options = [(code, _split_time(ts)) for code, ts in times]
+        options.append((_RECEIVED, struct.pack("<Q", self.bytes_written)))
+        lost = self._lost_total + max(self._lost, 0)
+        options.append((_DROPPED, struct.pack("<Q", lost)))
+        fixed = struct.pack("<I", 0) + _split_time(time.time_ns())
+        return pcapng.block(pcapng.STATISTICS, fixed, options)
+
+
+def _names_file(path: str | Path, file: os.stat_result) -> bool:
+    """Return whether a path is the name of a file. Where that cannot be told it is."""
+    try:
+        return os.path.samestat(os.stat(path), file)  # noqa: PTH116
+    except OSError as error:
+        return error.errno not in _NO_FILE
+
+
+def _sum_lost(before: int, more: int) -> int:
+    """Return the sum of two numbers of lost bytes, -1 if one is not known."""
+    return -1 if before < 0 or more < 0 else before + more
+
+
+def _split_time(ts: int) -> bytes:
+    return struct.pack("<II", ts >> 32, ts & 0xFFFF_FFFF)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Sync the directory, or a crash may leave the data without a name."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in _NO_SYNC:
+            raise
+    finally:
+        os.close(descriptor)
