@@ -23,7 +23,7 @@ from canser.errors import (
     PortNotFoundError,
 )
 from canser.live.config import LineConfig
-from canser.live.tcp import connect, server_of
+from canser.live.tcp import connect, notice_dead_peer, server_of
 
 if sys.platform != "win32":
     import fcntl
@@ -86,6 +86,7 @@ def open_line(url: str, config: LineConfig) -> Line:
         if scheme == "socket":
             source.setblocking(False)
             source.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            notice_dead_peer(source)
         else:
             _make_raw(source.fd, url)
             _claim(source.fd)
@@ -125,6 +126,8 @@ def _open_serial(url: str, config: LineConfig) -> Any:
         setattr(port, name, level)  # before it is open: then a line is never at the other level
     try:
         port.open()
+        if url.lower().startswith("rfc2217:"):
+            notice_dead_peer(port._socket)
     except Exception as error:  # noqa: BLE001 - as above
         raise _open_error(url, config.baudrate, error) from None
     try:
@@ -310,10 +313,15 @@ _SOME: Final = 1024
 # poll() takes no longer time, in milliseconds: an int of C.
 _POLL_MAX_MS: Final = (1 << 31) - 1
 
+# The other end of a connection does not answer when the system says one of these.
+_SILENT: Final = {
+    errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.EHOSTDOWN, errno.ENETUNREACH, errno.ENETDOWN,
+}  # fmt: skip
+
 # A line is dead when the system says one of these.
-_DEAD: Final = {
-    errno.EIO, errno.ENXIO, errno.ENODEV, errno.EPIPE, errno.ECONNRESET, errno.ETIMEDOUT,
-    errno.ECONNABORTED, errno.EBADF, errno.ENOTCONN, errno.ESHUTDOWN, errno.EHOSTUNREACH,
+_DEAD: Final = _SILENT | {
+    errno.EIO, errno.ENXIO, errno.ENODEV, errno.EPIPE, errno.ECONNRESET, errno.ECONNABORTED,
+    errno.EBADF, errno.ENOTCONN, errno.ESHUTDOWN,
 }  # fmt: skip
 
 
@@ -404,6 +412,11 @@ class _Descriptor:
     def _gone(self, error: OSError | None) -> Exception:
         if error is not None and error.errno not in _DEAD:
             return PortError(f"{self._url}: {error.strerror or error}")
+        if error is not None and error.errno in _SILENT:
+            return PortGoneError(
+                f"{self._url} is gone: {os.strerror(error.errno)}; "
+                "is its server on, and the network up?"
+            )
         return _gone(self._url)
 
 
