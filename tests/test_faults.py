@@ -142,11 +142,16 @@ def test_a_device_that_does_not_take_its_configuration() -> None:
     assert descriptors() == before
 
 
+@pytest.mark.parametrize("name", ["canser connecting", "canser reader"])
 def test_where_no_thread_can_be_started_the_line_is_closed_again(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    def fail(_: threading.Thread) -> None:
-        raise RuntimeError("can't start new thread")
+    start = threading.Thread.start
+
+    def fail(thread: threading.Thread) -> None:
+        if thread.name == name:
+            raise RuntimeError("can't start new thread")
+        start(thread)
 
     with Device() as device:
         before = descriptors()

@@ -14,7 +14,6 @@ import stat
 import sys
 import time
 from typing import Any, Final, Protocol
-from urllib.parse import urlsplit
 
 from canser.errors import (
     PortBusyError,
@@ -24,6 +23,7 @@ from canser.errors import (
     PortNotFoundError,
 )
 from canser.live.config import LineConfig
+from canser.live.tcp import connect, notice_dead_peer, server_of
 
 if sys.platform != "win32":
     import fcntl
@@ -31,9 +31,6 @@ if sys.platform != "win32":
     import termios
 
 __all__ = ["Line", "open_line"]
-
-# A TCP connection must come about within this time.
-_CONNECT_TIMEOUT_S: Final = 5.0
 
 # A read of a line without a descriptor cannot be woken. It looks this often whether it must end.
 _LOOK_EVERY_S: Final = 0.1
@@ -72,7 +69,7 @@ def open_line(url: str, config: LineConfig) -> Line:
     if not url:
         raise PortNotFoundError("url is empty: no port has that name; 'canser ports' lists some")
     scheme = url.partition("://")[0].lower()
-    server = _server(url) if scheme in _OVER_TCP else None
+    server = server_of(url) if scheme in _OVER_TCP else None
     if scheme == "socket":
         assert server is not None
         if names := " and ".join(_levels(config)):
@@ -80,7 +77,7 @@ def open_line(url: str, config: LineConfig) -> Line:
                 f"{url} carries no modem lines, so {names} cannot be set; "
                 f"use rfc2217://, or leave {names} out"
             )
-        source: Any = _connect(url, *server)
+        source: Any = connect(url, *server)
     else:
         source = _open_serial(url, config)
         if not _has_descriptor(source):
@@ -89,6 +86,7 @@ def open_line(url: str, config: LineConfig) -> Line:
         if scheme == "socket":
             source.setblocking(False)
             source.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            notice_dead_peer(source)
         else:
             _make_raw(source.fd, url)
             _claim(source.fd)
@@ -103,29 +101,6 @@ def open_line(url: str, config: LineConfig) -> Line:
 
 # Lines that are connections to a server.
 _OVER_TCP: Final = ("socket", "rfc2217")
-
-
-def _server(url: str) -> tuple[str, int]:
-    """Return the host and the port of a URL, or raise ValueError."""
-    remedy = f"write {url.partition('://')[0]}://host:port"
-    try:
-        parts = urlsplit(url)
-        host, number = parts.hostname, parts.port
-        (host or "").encode("idna")
-    except ValueError as error:
-        raise ValueError(f"cannot read {url!r}: {error}; {remedy}") from None
-    if not host or number is None:
-        raise ValueError(f"cannot read {url!r}: host or port is missing; {remedy}")
-    return host, number
-
-
-def _connect(url: str, host: str, number: int) -> socket.socket:
-    try:
-        return socket.create_connection((host, number), timeout=_CONNECT_TIMEOUT_S)
-    except OSError as error:
-        raise PortNotFoundError(
-            f"nobody answers at {url}: {error.strerror or error}; is the server running?"
-        ) from None
 
 
 def _open_serial(url: str, config: LineConfig) -> Any:
@@ -151,6 +126,8 @@ def _open_serial(url: str, config: LineConfig) -> Any:
         setattr(port, name, level)  # before it is open: then a line is never at the other level
     try:
         port.open()
+        if url.lower().startswith("rfc2217:"):
+            notice_dead_peer(port._socket)
     except Exception as error:  # noqa: BLE001 - as above
         raise _open_error(url, config.baudrate, error) from None
     try:
@@ -336,10 +313,15 @@ _SOME: Final = 1024
 # poll() takes no longer time, in milliseconds: an int of C.
 _POLL_MAX_MS: Final = (1 << 31) - 1
 
+# The other end of a connection does not answer when the system says one of these.
+_SILENT: Final = {
+    errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.EHOSTDOWN, errno.ENETUNREACH, errno.ENETDOWN,
+}  # fmt: skip
+
 # A line is dead when the system says one of these.
-_DEAD: Final = {
-    errno.EIO, errno.ENXIO, errno.ENODEV, errno.EPIPE, errno.ECONNRESET, errno.ETIMEDOUT,
-    errno.ECONNABORTED, errno.EBADF, errno.ENOTCONN, errno.ESHUTDOWN, errno.EHOSTUNREACH,
+_DEAD: Final = _SILENT | {
+    errno.EIO, errno.ENXIO, errno.ENODEV, errno.EPIPE, errno.ECONNRESET, errno.ECONNABORTED,
+    errno.EBADF, errno.ENOTCONN, errno.ESHUTDOWN,
 }  # fmt: skip
 
 
@@ -430,6 +412,11 @@ class _Descriptor:
     def _gone(self, error: OSError | None) -> Exception:
         if error is not None and error.errno not in _DEAD:
             return PortError(f"{self._url}: {error.strerror or error}")
+        if error is not None and error.errno in _SILENT:
+            return PortGoneError(
+                f"{self._url} is gone: {os.strerror(error.errno)}; "
+                "is its server on, and the network up?"
+            )
         return _gone(self._url)
 
 

@@ -7,6 +7,7 @@ from typing import Final
 
 from canser._threads import start_thread
 from canser.errors import CanserError, PortError, PortGoneError
+from canser.live.connecting import connect_aside
 from canser.live.line import Line
 from canser.live.ring import Ring, holds
 
@@ -63,13 +64,13 @@ class LineReader:
         self._byte_s = byte_s
         self._reconnect, self._heartbeat, self._heartbeat_s = reconnect, heartbeat, heartbeat_s
         self.last_heartbeat = 0  # when the last one went out on this line; 0: not yet
-        self._line: Line | None = connect()  # None while it is away
+        self._closing = threading.Event()
+        self._line: Line | None = connect_aside(url, connect, self._closing)  # None: it is away
         # Held to write, and to change the line. Reentrant, as a signal handler may close
         # the port in the middle of a write.
         self._line_lock = threading.Condition()
         self._writing = threading.Lock()
         self._rest = memoryview(b"")  # of a packet whose start went out
-        self._closing = threading.Event()
         # Held to change the rings besides, and to end them.
         self._rings_lock = threading.Condition()  # reentrant, as the other one
         self._more_rings: tuple[Ring, ...] = ()
@@ -268,7 +269,7 @@ class LineReader:
             self._rest = memoryview(b"")
             self._writing.release()
             try:
-                line = self._connect()
+                line = connect_aside(self._url, self._connect, self._closing)
             except (CanserError, OSError):
                 pause = min(pause * 2, longest)
                 continue
