@@ -8,7 +8,8 @@ import numpy as np
 
 from canser._core.buffers import Offsets, Pointer, output_room
 from canser._core.stream import ParallelChunk, Stream
-from canser._frames import FRAME_DTYPE, FrameArray, put_records
+from canser._frames import FRAME_DTYPE, FrameArray
+from canser.codec.growing import GrowingFrames
 
 __all__ = ["SMALL", "FixedArray", "GrowingArray", "MakeChunk", "Sink"]
 
@@ -40,8 +41,10 @@ class Sink(Protocol):
         """Make room for a chunk's frames; return what brings them there."""
 
 
-class _Array:
-    """An array that frames are written into, by one thread or several."""
+class FixedArray:
+    """The caller's array. What is too much for it is counted only."""
+
+    _spare: FrameArray | None = None
 
     def __init__(self, make_chunk: MakeChunk, out: FrameArray, offsets: Offsets | None) -> None:
         self.count = 0
@@ -49,24 +52,17 @@ class _Array:
         self._out, self._offsets = out, offsets
 
     def chunk(self) -> ParallelChunk:
+        """Return room for a chunk that a helper decodes."""
         return self._make_chunk(self._offsets is not None)
 
-    def room(self) -> tuple[Pointer, int, Pointer]:
-        return output_room(self._out, self.count, self._offsets)
-
     def wrote(self, count: int) -> None:
+        """Count frames that were written, in the array or in the room to count in."""
         self.count += count
-
-
-class FixedArray(_Array):
-    """The caller's array. What is too much for it is counted only."""
-
-    _spare: FrameArray | None = None
 
     def room(self) -> tuple[Pointer, int, Pointer]:
         """Return the rest of the array, or room to count in."""
         if self.count < len(self._out):
-            return super().room()
+            return output_room(self._out, self.count, self._offsets)
         if self._spare is None:
             self._spare = np.empty(SMALL, FRAME_DTYPE)
         return output_room(self._spare, 0, None)
@@ -87,11 +83,11 @@ class FixedArray(_Array):
         return deliver
 
 
-class GrowingArray(_Array):
+class GrowingArray:
     """A new array that grows by what the bytes so far have held."""
 
     def __init__(self, make_chunk: MakeChunk, stream: Stream, source_len: int) -> None:
-        self._stream = stream
+        self._make_chunk, self._stream = make_chunk, stream
         self._start = stream.position
         self._end = self._start + source_len
         self._held = stream.pending
@@ -99,20 +95,30 @@ class GrowingArray(_Array):
         self._copying = 0
         self._copied: threading.Condition | None = None  # made for the first copy of a helper
         most = self._most(source_len)
-        super().__init__(make_chunk, _make_room(most if most <= AT_ONCE else SMALL), None)
+        self._array = GrowingFrames(most if most <= AT_ONCE else SMALL)
+
+    def chunk(self) -> ParallelChunk:
+        """Return room for a chunk that a helper decodes."""
+        return self._make_chunk(False)
 
     def room(self) -> tuple[Pointer, int, Pointer]:
         """Return the rest of the array, which is larger now if it was full."""
-        if self.count == len(self._out):
+        array = self._array
+        if not array.room:
             self._grow(1)
-        return super().room()
+        return output_room(array.frames, array.count, None)
+
+    def wrote(self, count: int) -> None:
+        """Count frames that were written."""
+        self._array.count += count
 
     def place(self, chunk: ParallelChunk) -> Callable[[], None]:
         """Return what copies the frames, and keeps the array where it is until then."""
-        if len(self._out) - self.count < chunk.count:
+        array = self._array
+        if array.room < chunk.count:
             self._grow(chunk.count)
-        target, _, _ = super().room()
-        self.count += chunk.count
+        target, _, _ = output_room(array.frames, array.count, None)
+        array.count += chunk.count
         copied = self._copied = self._copied or threading.Condition()
         with copied:
             self._copying += 1
@@ -129,9 +135,7 @@ class GrowingArray(_Array):
 
     def result(self) -> FrameArray:
         """Return the array, of just the size; it owns its memory."""
-        # What is too much is given back where it is: no other object refers to it.
-        self._out.resize(self.count, refcheck=False)
-        return self._out
+        return self._array.result()
 
     def _most(self, to_come: int) -> int:
         """Return room that is enough for these bytes to come, whatever they are."""
@@ -140,33 +144,12 @@ class GrowingArray(_Array):
     def _grow(self, more: int) -> None:
         # The frames so far tell how many there will be; where the rest is denser than
         # they were, this happens again.
-        position = self._stream.position
-        done = max(position - self._start, 1)
-        count = self.count + more
-        expected = int(count * ((self._end - self._start) / done) * 1.02) + SMALL
-        cap = min(max(expected, 2 * self.count), count + self._most(self._end - position))
-        larger = _make_room(cap)
+        array, position = self._array, self._stream.position
+        done, total = max(position - self._start, 1), self._end - self._start
+        expected = int((array.count + more) * (total / done) * 1.02) + SMALL
+        most = array.count + more + self._most(self._end - position)
         if self._copied is not None:
             with self._copied:
                 while self._copying:
                     self._copied.wait()
-        put_records(larger[: self.count], self._out[: self.count])
-        self._out = larger
-
-
-# glibc maps blocks of 128 KiB and more from the system, unless one as large was freed before;
-# blocks over 32 MiB always (mallopt(3), M_MMAP_THRESHOLD).
-_MAPPED = (128 << 10) // FRAME_DTYPE.itemsize
-_ALWAYS_MAPPED = (32 << 20) // FRAME_DTYPE.itemsize
-
-
-def _make_room(cap: int) -> FrameArray:
-    """Return room for this many frames in pages that the process has already, if it can be.
-
-    To touch a page that is new takes longer than to decode the frames in it, and a block that
-    was mapped has new pages each time: a loop over `decode` would take ten times as long.
-    One as large is freed first, untouched: from then on the C library keeps such blocks.
-    """
-    if _MAPPED <= cap <= _ALWAYS_MAPPED:
-        np.empty(cap * FRAME_DTYPE.itemsize, np.uint8)
-    return np.empty(cap, FRAME_DTYPE)
+        array.grow(min(max(expected, 2 * (array.count + more)), most))

@@ -10,10 +10,11 @@ from typing import BinaryIO, Final
 import numpy as np
 
 from canser._core.buffers import Offsets
-from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_records
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records
 from canser._input import Input
 from canser._protocols import protocol as find_protocol
 from canser.codec.decoder import Decoder, Encoder, decode
+from canser.codec.growing import GrowingFrames
 from canser.codec.refusals import Refusals
 from canser.errors import FormatError, WrongProtocolError
 from canser.files.judge import describe_doubt, is_auto
@@ -120,34 +121,29 @@ class RecordingReader(Reader):
     def read_all(self, offsets: Offsets | None) -> FrameArray:
         """Return all frames in one array."""
         source, recorded = self._source, self._recorded
-        whole, count = np.empty(BLOCK_FRAMES, FRAME_DTYPE), 0
+        array = GrowingFrames(BLOCK_FRAMES)
         at = np.empty(BLOCK_FRAMES, np.int64)
 
         def room() -> tuple[FrameArray, Offsets]:
-            nonlocal whole
-            if len(whole) - count < BLOCK_FRAMES:
+            if array.room < BLOCK_FRAMES:
                 # The frames so far tell how many there will be; where the size is not known of
                 # the file, or the rest is denser than they were, this happens again.
                 done = recorded.decoder.position
-                expected = int(count * (source.total or 2 * done) / done * 1.02)
-                larger = np.empty(max(expected, count) + BLOCK_FRAMES, FRAME_DTYPE)
-                put_records(larger[:count], whole[:count])
-                whole = larger
-            return whole[count : count + BLOCK_FRAMES], at
+                expected = int(array.count * (source.total or 2 * done) / done * 1.02)
+                array.grow(max(expected, array.count) + BLOCK_FRAMES)
+            return array.frames[array.count : array.count + BLOCK_FRAMES], at
 
         for _, more in recorded.run(room):
             if offsets is not None:
-                fits = max(min(more, len(offsets) - count), 0)
-                offsets[count : count + fits] = at[:fits]
-            count += more
-        if offsets is not None and count > len(offsets):
+                fits = max(min(more, len(offsets) - array.count), 0)
+                offsets[array.count : array.count + fits] = at[:fits]
+            array.count += more
+        if offsets is not None and array.count > len(offsets):
             raise ValueError(
-                f"offsets has room for {len(offsets)} frames, but the data holds {count}; "
-                f"make room for at least {count}"
+                f"offsets has room for {len(offsets)} frames, but the data holds {array.count}; "
+                f"make room for at least {array.count}"
             )
-        # Given back, not copied: no other object refers to it.
-        whole.resize(count, refcheck=False)
-        return whole
+        return array.result()
 
 
 def write(file: BinaryIO, options: WriteOptions) -> "RecordingFile":

@@ -73,6 +73,10 @@ class RecordedFrames:
     def release(self) -> None:
         """Let go of the memory that reading took; nothing more is read."""
         self.head = bytearray()
+        self._let_go()
+
+    def _let_go(self) -> None:
+        """Refer to no array of the caller's any more."""
         self._out = np.empty(1, FRAME_DTYPE)
         self._loop.use(self._out)
 
@@ -109,6 +113,7 @@ class RecordedFrames:
         yield from self._flush(room)
         if loop.count:
             yield self._hand_over()
+        self._let_go()
 
     def _joined(self) -> Iterator[tuple[memoryview | bytes, bool]]:
         """Yield bytes to decode, small pieces as one, and whether there is a gap before them."""
