@@ -45,7 +45,7 @@ class RecordedFrames:
             )
         except ValueError as error:
             raise RecordingError(f"the recording says {error}") from None
-        self._loop = TimedDecoder(self.decoder, self.info.byte_ns)
+        self._loop = TimedDecoder(self.decoder, self.info.byte_ns, recorded=True)
         self._gaps = self._bytes_lost = self._unknown = 0
         # Of the bytes that are to be decoded next: sizes of pieces, and when they came.
         self._arrivals: list[tuple[int, int]] = []

@@ -52,11 +52,11 @@ class Arrivals:
     `byte_ns`: the time of a byte on the line. Terminals over USB without a line behind them,
     pseudo terminals and sockets name a bit rate, too, and keep to none. Where reads hold more
     bytes than can have come since those before, the rate is disproved: from the first such read
-    on nothing is counted back.
+    on nothing is counted back. With `keeps_rate` it is never.
     """
 
-    def __init__(self, byte_ns: float) -> None:
-        self._byte_ns = byte_ns
+    def __init__(self, byte_ns: float, *, keeps_rate: bool = False) -> None:
+        self._byte_ns, self._keeps_rate = byte_ns, keeps_rate
         # The offset behind each read, and its time. The first one holds no byte that is still
         # asked for: it tells when the next one began.
         self._rows = np.empty((64, 2), np.int64)
@@ -87,7 +87,7 @@ class Arrivals:
         ns = max(ns, before_ns)
         self._rows[self._end] = end, ns
         self._end += 1
-        if self.unrated_from is not None:
+        if self.unrated_from is not None or self._keeps_rate:
             return
         if self._starts:
             self._starts = False
@@ -113,7 +113,7 @@ class Arrivals:
         rows[1:, 1] = times
         np.maximum.accumulate(rows[:, 1], out=rows[:, 1])
         self._end += count
-        if self.unrated_from is not None or not count:
+        if self.unrated_from is not None or self._keeps_rate or not count:
             return
         # What `add` does one by one: a sum that is raised to zero wherever time has passed.
         steps = np.diff(rows, axis=0)

@@ -134,13 +134,22 @@ class FrameClock:
     `tick_ns`: the unit of the times that come with the frames, of a counter of 32 bits; None for a
     format without a clock. `byte_ns`: what a byte takes on the line, 10 bits at the baud rate; 0
     if the line has none. With `device_time` frames keep the times of the device's clock, and the
-    host's clock only tells the turn of the counter.
+    host's clock only tells the turn of the counter. `recorded`: the bytes come in blocks of a
+    recording. A block may be of several reads, as long as counting back gives their times: so
+    without a clock of the device it is done there on any line.
 
     The same reads and frames give the same times wherever `assign_times` calls are cut.
     """
 
-    def __init__(self, tick_ns: int | None, byte_ns: float, *, device_time: bool = False) -> None:
-        self.arrivals = Arrivals(byte_ns)
+    def __init__(
+        self,
+        tick_ns: int | None,
+        byte_ns: float,
+        *,
+        device_time: bool = False,
+        recorded: bool = False,
+    ) -> None:
+        self.arrivals = Arrivals(byte_ns, keeps_rate=recorded and tick_ns is None)
         self._turns = None if tick_ns is None else ClockTurns(tick_ns)
         self._clock = None if tick_ns is None or device_time else _DeviceClock()
         self._device_time = device_time

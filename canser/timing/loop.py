@@ -20,15 +20,25 @@ class TimedDecoder:
     comes out does not depend on how bytes are cut into calls, nor on the size of the arrays.
 
     `byte_ns`: what a byte takes on the line. With `device_time` frames keep the times of the
-    device's clock. No exception, of Ctrl-C either, loses a frame: `count` tells how many frames
+    device's clock. `recorded`: the bytes come in blocks of a recording. No exception, of Ctrl-C either, loses a frame: `count` tells how many frames
     the array has. For one thread at a time.
     """
 
-    def __init__(self, decoder: Decoder, byte_ns: float, *, device_time: bool = False) -> None:
+    def __init__(
+        self,
+        decoder: Decoder,
+        byte_ns: float,
+        *,
+        device_time: bool = False,
+        recorded: bool = False,
+    ) -> None:
         self.decoder = decoder
         clocked = find_protocol(decoder.protocol).has_clock
         self.clock = FrameClock(
-            tick_ns(decoder.ts_unit) if clocked else None, byte_ns, device_time=device_time
+            tick_ns(decoder.ts_unit) if clocked else None,
+            byte_ns,
+            device_time=device_time,
+            recorded=recorded,
         )
         self._scratch = np.empty((2, 0), np.int64)
         self.use(np.empty(1, FRAME_DTYPE))
