@@ -60,9 +60,9 @@ int canser_times_arrivals(const canser_piece *pieces, size_t piece_count, double
 typedef struct {
     uint64_t inverse; /* of the odd number, modulo 2^64 */
     unsigned shift;
-} unit;
+} tick_unit;
 
-static unit unit_of(int64_t tick_ns)
+static tick_unit unit_of(int64_t tick_ns)
 {
     uint64_t odd = (uint64_t)tick_ns, inverse;
     unsigned shift = 0;
@@ -74,10 +74,10 @@ static unit unit_of(int64_t tick_ns)
     inverse = odd;
     for (int bits = 3; bits < 64; bits *= 2)
         inverse *= 2 - odd * inverse;
-    return (unit){inverse, shift};
+    return (tick_unit){inverse, shift};
 }
 
-static uint32_t counter_of(int64_t time, unit unit)
+static uint32_t counter_of(int64_t time, tick_unit unit)
 {
     return (uint32_t)(((uint64_t)time >> unit.shift) * unit.inverse);
 }
@@ -112,7 +112,7 @@ int canser_times_turns(canser_turns *self, int64_t tick_ns, const int64_t *arriv
     if (tick_ns < 1)
         return CANSER_TICK;
 
-    const unit unit = unit_of(tick_ns);
+    const tick_unit unit = unit_of(tick_ns);
     const double per_tick = 1.0 / (double)tick_ns;
     canser_turns turns = *self;
     for (size_t i = 0; i < count; i++) {

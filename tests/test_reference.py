@@ -6,7 +6,7 @@ reference.
 """
 
 import random
-from itertools import pairwise
+from itertools import cycle, pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 import canser
 import reference
 import shared
+from canser._core.buffers import FrameRoom
 from conftest import Run, assert_agree
 from reference import ID_EXT_MAX, ID_MAX, NO_TIME, TICK_NS, Frame
 
@@ -254,6 +255,31 @@ def judge(protocol: str, stream: bytes, cuts: list[int], rooms: list[int], unit:
     whole = canser.decode(stream, protocol, ts_unit=unit, as_is=True)
     assert whole.dtype == canser.FRAME_DTYPE
     assert whole.tobytes() == streamed
+    pieces = [stream[start:end] for start, end in pairwise([0, *ends, len(stream)])]
+    spans = find_spans(protocol, pieces, rooms)
+    assert spans == [*zip(expected.offsets, expected.ends, strict=True)]
+
+
+def find_spans(protocol: str, pieces: list[bytes], rooms: list[int]) -> list[tuple[int, int]]:
+    """Return where each frame begins and ends, with room for a few at a time."""
+    decoder = canser.Decoder(protocol)
+    rows = np.empty((2, max(rooms)), np.int64)
+    room = FrameRoom(np.empty(max(rooms), canser.FRAME_DTYPE), *rows)
+    spans: list[tuple[int, int]] = []
+    most = cycle(rooms)
+    for piece in [*pieces, None]:
+        rest = piece
+        while rest or (rest is None and decoder.pending):
+            before = decoder.frames
+            rows[:] = -1
+            if rest is None:
+                decoder.flush_room(room, 0, next(most))
+            else:
+                rest = rest[decoder.feed_room(rest, room, 0, next(most)) :]
+            count = decoder.frames - before
+            spans += zip(*rows[:, :count].tolist(), strict=True)
+            assert (rows[:, count:] == -1).all()
+    return spans
 
 
 STREAMS = {
@@ -633,3 +659,4 @@ def test_clock(start: int, runs: list[list[int]], cuts: list[int]) -> None:
     assert times == [frame.ts for frame in want.frames]
     assert decoder.stats.ts_wraps == want.stats.ts_wraps
     assert decoder.stats.ts_backsteps == want.stats.ts_backsteps
+    assert decoder.stats.ts_uncertain == want.stats.ts_uncertain

@@ -1,5 +1,5 @@
 /* Every short string over the bytes that matter to a protocol, decoded by csrc
- * and by plain.c: the same frames, offsets, control packets and statistics.
+ * and by plain.c: the same frames, offsets, ends, control packets and statistics.
  *
  *     cases           all strings
  *     cases LIMIT     at most about LIMIT strings of each set and length, evenly spread
@@ -115,6 +115,7 @@ typedef struct {
 typedef struct {
     canser_frame frames[ROW_CAP];
     int64_t offsets[ROW_CAP];
+    int64_t ends[ROW_CAP];
     canser_control controls[ROW_CAP];
 } rows;
 
@@ -129,14 +130,17 @@ static void set_up(void)
 
     driven = (drive){.frames = driven_rows.frames,
                      .offsets = driven_rows.offsets,
+                     .ends = driven_rows.ends,
                      .controls = driven_rows.controls,
                      .row_cap = ROW_CAP};
     open_stream = (plain_stream){.frames = open_rows.frames,
                                  .offsets = open_rows.offsets,
+                                 .ends = open_rows.ends,
                                  .controls = open_rows.controls,
                                  .row_cap = ROW_CAP};
     ended_stream = (plain_stream){.frames = ended_rows.frames,
                                   .offsets = ended_rows.offsets,
+                                  .ends = ended_rows.ends,
                                   .controls = ended_rows.controls,
                                   .row_cap = ROW_CAP};
 }
@@ -202,8 +206,8 @@ static bool check_again(int protocol, const uint8_t *bytes, size_t len)
 }
 
 /* The string twice and a padding of zeros, so that most of it is scanned where
- * whole windows are there. */
-static bool check_padded(int protocol, const uint8_t *bytes, size_t len)
+ * whole windows are there; half of the strings without ends, which has a loop of its own. */
+static bool check_padded(int protocol, const uint8_t *bytes, size_t len, uint64_t index)
 {
     uint8_t stream[STREAM_MAX] = {0};
     const size_t stream_len = 2 * len + PAD;
@@ -211,7 +215,11 @@ static bool check_padded(int protocol, const uint8_t *bytes, size_t len)
     memcpy(stream, bytes, len);
     memcpy(stream + len, bytes, len);
     scan_both(protocol, stream, stream_len);
-    return check_pieces(protocol, stream, stream_len, stream_len, 1, SIZE_MAX, "padded", 0);
+    driven.no_ends = index * 0x9E3779B97F4A7C15 >> 63;
+    const bool good =
+        check_pieces(protocol, stream, stream_len, stream_len, 1, SIZE_MAX, "padded", 0);
+    driven.no_ends = false;
+    return good;
 }
 
 static bool check_string(int protocol, const uint8_t *bytes, size_t len, bool all_splits,
@@ -232,7 +240,7 @@ static bool check_string(int protocol, const uint8_t *bytes, size_t len, bool al
     good &= check_pieces(protocol, bytes, len, 1, 1, SIZE_MAX, "pieces of", 1);
     good &= check_pieces(protocol, bytes, len, len, 1, 1, "capacity", 1);
     good &= check_again(protocol, bytes, len);
-    good &= check_padded(protocol, bytes, len);
+    good &= check_padded(protocol, bytes, len, index);
     return good;
 }
 

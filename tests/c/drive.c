@@ -104,6 +104,8 @@ static size_t call_placed(drive *self, const uint8_t *bytes, size_t len, bool fl
     batch->frames = place_array(self, DRIVE_FRAMES, frame_cap * sizeof *own.frames);
     if (own.offsets)
         batch->offsets = place_array(self, DRIVE_OFFSETS, frame_cap * sizeof *own.offsets);
+    if (own.ends)
+        batch->ends = place_array(self, DRIVE_ENDS, frame_cap * sizeof *own.ends);
     if (own.controls)
         batch->controls = place_array(self, DRIVE_CONTROLS, control_cap * sizeof *own.controls);
 
@@ -116,6 +118,9 @@ static size_t call_placed(drive *self, const uint8_t *bytes, size_t len, bool fl
     if (own.offsets)
         take_array(self, DRIVE_OFFSETS, own.offsets, batch->offsets, batch->frame_count, frame_cap,
                    sizeof *own.offsets);
+    if (own.ends)
+        take_array(self, DRIVE_ENDS, own.ends, batch->ends, batch->frame_count, frame_cap,
+                   sizeof *own.ends);
     if (own.controls)
         take_array(self, DRIVE_CONTROLS, own.controls, batch->controls, batch->control_count,
                    control_cap, sizeof *own.controls);
@@ -135,6 +140,7 @@ static size_t call_and_append(drive *self, const uint8_t *bytes, size_t len, boo
         .frames = self->frames + self->frame_count,
         .frame_cap = frame_cap < frame_room ? frame_cap : frame_room,
         .offsets = self->no_offsets ? NULL : self->offsets + self->frame_count,
+        .ends = self->no_offsets || self->no_ends ? NULL : self->ends + self->frame_count,
         .controls = self->no_controls ? NULL : self->controls + self->control_count,
         .control_cap = control_cap < control_room ? control_cap : control_room,
     };
@@ -194,6 +200,9 @@ const char *drive_compare(const drive *self, const plain_stream *expected)
     if (!self->no_offsets &&
         memcmp(self->offsets, expected->offsets, frame_count * sizeof *self->offsets) != 0)
         return "an offset differs";
+    if (!self->no_offsets && !self->no_ends &&
+        memcmp(self->ends, expected->ends, frame_count * sizeof *self->ends) != 0)
+        return "an end differs";
     if (!self->no_controls) {
         if (self->control_count != control_count)
             return "the number of control packets differs";

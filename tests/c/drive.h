@@ -12,6 +12,7 @@ typedef enum {
     DRIVE_INPUT,
     DRIVE_FRAMES,
     DRIVE_OFFSETS,
+    DRIVE_ENDS,
     DRIVE_CONTROLS,
     DRIVE_SLOT_COUNT
 } drive_slot;
@@ -21,12 +22,14 @@ typedef struct {
 
     canser_frame *frames;
     int64_t *offsets;
+    int64_t *ends;
     canser_control *controls;
     size_t row_cap; /* of each array; one row more than is found must be there */
     size_t frame_count;
     size_t control_count;
 
-    bool no_offsets;  /* pass NULL instead of the array */
+    bool no_offsets;  /* pass NULL instead of the array, and of `ends` */
+    bool no_ends;     /* pass NULL instead of the array */
     bool no_controls; /* pass NULL instead of the array */
 
     /* Where each call gets its memory, if not NULL: all that the decoder is

@@ -20,7 +20,12 @@
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
-enum { OPTION_NO_OFFSETS = 0x40, OPTION_NO_CONTROLS = 0x80, STREAM_MAX = 1 << 16 };
+enum {
+    OPTION_NO_ENDS = 0x20,
+    OPTION_NO_OFFSETS = 0x40,
+    OPTION_NO_CONTROLS = 0x80,
+    STREAM_MAX = 1 << 16
+};
 
 static void *allocate(size_t size)
 {
@@ -73,15 +78,17 @@ static plain_stream new_stream(size_t len)
 
     return (plain_stream){.frames = allocate(cap * sizeof(canser_frame)),
                           .offsets = allocate(cap * sizeof(int64_t)),
+                          .ends = allocate(cap * sizeof(int64_t)),
                           .controls = allocate(cap * sizeof(canser_control)),
                           .row_cap = cap};
 }
 
-static void free_rows(canser_frame *frames, int64_t *offsets, canser_control *controls)
+static void free_rows(const plain_stream *stream)
 {
-    free(frames);
-    free(offsets);
-    free(controls);
+    free(stream->frames);
+    free(stream->offsets);
+    free(stream->ends);
+    free(stream->controls);
 }
 
 /* Whether every time is ticks times the unit without a turn through 2^64. Where
@@ -155,7 +162,7 @@ static void check_way_back(const plain_stream *stream, int protocol, int64_t tic
     expect_that(memcmp(again.frames, frames, count * sizeof *frames) == 0,
                 "way back: a frame differs");
     expect_that(again.stats.bytes_framed == len, "way back: a byte is in no frame");
-    free_rows(again.frames, again.offsets, again.controls);
+    free_rows(&again);
     free(expected);
     free(frames);
 }
@@ -189,9 +196,11 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     const plain_stream rows = new_stream(size);
     drive driven = {.frames = rows.frames,
                     .offsets = rows.offsets,
+                    .ends = rows.ends,
                     .controls = rows.controls,
                     .row_cap = rows.row_cap,
                     .no_offsets = (options & OPTION_NO_OFFSETS) != 0,
+                    .no_ends = (options & OPTION_NO_ENDS) != 0,
                     .no_controls = (options & OPTION_NO_CONTROLS) != 0,
                     .place = place,
                     .drop = drop};
@@ -208,9 +217,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     expect(drive_compare(&driven, &ended_stream));
 
     check_way_back(&ended_stream, protocol, tick_ns, frame_cap);
-    free_rows(open_stream.frames, open_stream.offsets, open_stream.controls);
-    free_rows(ended_stream.frames, ended_stream.offsets, ended_stream.controls);
-    free_rows(rows.frames, rows.offsets, rows.controls);
+    free_rows(&open_stream);
+    free_rows(&ended_stream);
+    free_rows(&rows);
     return 0;
 }
 

@@ -274,6 +274,7 @@ static void make_stream(int protocol, int kind, uint8_t *stream, size_t len)
 static struct {
     canser_frame frames[ROW_CAP];
     int64_t offsets[ROW_CAP];
+    int64_t ends[ROW_CAP];
     canser_control controls[ROW_CAP];
 } rows[3];
 
@@ -286,16 +287,19 @@ static void set_up(void)
         arenas[i] = arena_new(ROW_CAP * sizeof(canser_control));
     driven = (drive){.frames = rows[0].frames,
                      .offsets = rows[0].offsets,
+                     .ends = rows[0].ends,
                      .controls = rows[0].controls,
                      .row_cap = ROW_CAP,
                      .place = place,
                      .drop = drop};
     open_stream = (plain_stream){.frames = rows[1].frames,
                                  .offsets = rows[1].offsets,
+                                 .ends = rows[1].ends,
                                  .controls = rows[1].controls,
                                  .row_cap = ROW_CAP};
     ended_stream = (plain_stream){.frames = rows[2].frames,
                                   .offsets = rows[2].offsets,
+                                  .ends = rows[2].ends,
                                   .controls = rows[2].controls,
                                   .row_cap = ROW_CAP};
 }
@@ -358,9 +362,10 @@ static void check_stream(const uint8_t *stream, size_t len)
                 check_decode(stream, len, len);
             now.shift = random_below(SHIFT_MAX + 1);
             driven.no_offsets = random_below(4) == 0;
+            driven.no_ends = random_below(4) == 0;
             driven.no_controls = random_below(4) == 0;
             check_decode(stream, len, random_below(len + 1));
-            driven.no_offsets = driven.no_controls = false;
+            driven.no_offsets = driven.no_ends = driven.no_controls = false;
         }
     }
 }
@@ -428,6 +433,7 @@ static bool decode_chunk(canser_chunk *chunk, canser_batch *batch, const uint8_t
     uint8_t *const input = place(DRIVE_INPUT, seen);
     canser_frame *const frames = place(DRIVE_FRAMES, frame_cap * sizeof *frames);
     int64_t *const offsets = place(DRIVE_OFFSETS, frame_cap * sizeof *offsets);
+    int64_t *const ends = place(DRIVE_ENDS, frame_cap * sizeof *ends);
     canser_control *const controls = place(DRIVE_CONTROLS, control_cap * sizeof *controls);
 
     memset(chunk, 0xA5, sizeof *chunk);
@@ -436,6 +442,7 @@ static bool decode_chunk(canser_chunk *chunk, canser_batch *batch, const uint8_t
     *batch = (canser_batch){.frames = frames,
                             .frame_cap = frame_cap,
                             .offsets = driven.no_offsets ? NULL : offsets,
+                            .ends = driven.no_offsets || driven.no_ends ? NULL : ends,
                             .controls = driven.no_controls ? NULL : controls,
                             .control_cap = control_cap,
                             .frame_count = SIZE_MAX,
@@ -451,6 +458,7 @@ static bool decode_chunk(canser_chunk *chunk, canser_batch *batch, const uint8_t
     drop(DRIVE_INPUT, input, seen);
     drop(DRIVE_FRAMES, frames, frame_cap * sizeof *frames);
     drop(DRIVE_OFFSETS, offsets, frame_cap * sizeof *offsets);
+    drop(DRIVE_ENDS, ends, frame_cap * sizeof *ends);
     drop(DRIVE_CONTROLS, controls, control_cap * sizeof *controls);
     check(chunk->frame_count == batch->frame_count, "the chunk has other frames than the batch");
     check(chunk->begin <= chunk->end && chunk->end <= at->end, "a chunk ends where it may not");
@@ -502,6 +510,8 @@ static void join_chunk(canser_chunk *chunk, canser_batch *batch, bool sees_all)
         memcpy(rows_at, batch->frames, count * sizeof *rows_at);
     if (batch->offsets && count)
         memcpy(driven.offsets + driven.frame_count, batch->offsets, count * sizeof(int64_t));
+    if (batch->ends && count)
+        memcpy(driven.ends + driven.frame_count, batch->ends, count * sizeof(int64_t));
     if (batch->controls && batch->control_count)
         memcpy(driven.controls + driven.control_count, batch->controls,
                batch->control_count * sizeof(canser_control));
@@ -520,6 +530,7 @@ static void advance_to(const uint8_t *stream, size_t len, size_t stop)
         canser_batch batch = {.frames = driven.frames + driven.frame_count,
                               .frame_cap = 3,
                               .offsets = driven.offsets + driven.frame_count,
+                              .ends = driven.ends + driven.frame_count,
                               .controls = driven.controls + driven.control_count,
                               .control_cap = 2};
 
@@ -590,6 +601,7 @@ static void test_chunks(void)
                     now.at_end = first % 2;
                     now.shift = random_below(SHIFT_MAX + 1);
                     driven.no_offsets = random_below(8) == 0;
+                    driven.no_ends = random_below(8) == 0;
                     now.frame_cap = now.control_cap = ROW_CAP;
                     check_chunk(stream, len, &all);
                     now.frame_cap = 1 + random_below(4);
@@ -597,7 +609,7 @@ static void test_chunks(void)
                     check_chunk(stream, len, &all);
                     check_chunk(stream, len, &some);
                     check_chunk(stream, len, &blind);
-                    driven.no_offsets = false;
+                    driven.no_offsets = driven.no_ends = false;
                 }
             }
         }
@@ -607,7 +619,7 @@ static void test_chunks(void)
 }
 
 /* A stream of frames that are nothing but their times. */
-enum { TIMED_LEN = 11, TIMED_MAX = ROW_CAP - 2 };
+enum { TIMED_LEN = 11, TIMED_MAX = ROW_CAP - 1 };
 
 static size_t make_timed(uint8_t *stream, uint32_t raw, const int64_t *steps, size_t step_count)
 {
@@ -890,6 +902,7 @@ typedef struct {
         uint8_t bytes[4 * sizeof(canser_frame)];
     } memory;
     int64_t offsets[4];
+    int64_t ends[4];
     canser_control controls[4];
     uint8_t data[64];
 } bench;
@@ -905,6 +918,7 @@ static void set_bench(bench *b)
     b->batch = (canser_batch){.frames = b->memory.frames,
                               .frame_cap = 4,
                               .offsets = b->offsets,
+                              .ends = b->ends,
                               .controls = b->controls,
                               .control_cap = 4,
                               .frame_count = SIZE_MAX,
@@ -934,6 +948,7 @@ static void check_refused(bench *b, int expected, const uint8_t *data, size_t le
     check(memcmp(&b->decoder, &b->before, sizeof b->decoder) == 0, "the decoder has changed");
     check(memcmp(&b->memory, &before.memory, sizeof b->memory) == 0 &&
               memcmp(b->offsets, before.offsets, sizeof b->offsets) == 0 &&
+              memcmp(b->ends, before.ends, sizeof b->ends) == 0 &&
               memcmp(b->controls, before.controls, sizeof b->controls) == 0,
           "an array has changed");
     b->batch = batch;
@@ -960,18 +975,29 @@ static void test_batch_arguments(bench *b)
 {
     b->batch.frames = NULL;
     check_batch_refused(b, CANSER_NULL, "frames NULL");
+    b->batch.offsets = NULL;
+    check_batch_refused(b, CANSER_NULL, "ends without offsets");
 
     b->batch.frames = behind(b->memory.frames, 1);
     b->batch.frame_cap = 2;
     check_batch_refused(b, CANSER_MISALIGNED, "frames misaligned");
     b->batch.offsets = behind(b->offsets, 1);
     check_batch_refused(b, CANSER_MISALIGNED, "offsets misaligned");
+    b->batch.ends = behind(b->ends, 1);
+    b->batch.frame_cap = 2;
+    check_batch_refused(b, CANSER_MISALIGNED, "ends misaligned");
     b->batch.controls = behind(b->controls, 1);
     b->batch.control_cap = 2;
     check_batch_refused(b, CANSER_MISALIGNED, "controls misaligned");
 
     b->batch.offsets = behind(b->memory.frames, sizeof b->memory - 8);
     check_batch_refused(b, CANSER_OVERLAP, "offsets on frames");
+    b->batch.ends = behind(b->memory.frames, sizeof b->memory - 8);
+    check_batch_refused(b, CANSER_OVERLAP, "ends on frames");
+    b->batch.ends = b->offsets;
+    check_batch_refused(b, CANSER_OVERLAP, "ends on offsets");
+    b->batch.controls = behind(b->ends, 24);
+    check_batch_refused(b, CANSER_OVERLAP, "controls on ends");
     b->batch.controls = behind(b->memory.frames, sizeof b->memory - 8);
     check_batch_refused(b, CANSER_OVERLAP, "controls on frames");
     b->batch.controls = behind(b->offsets, 24);
@@ -984,6 +1010,7 @@ static void test_input_arguments(bench *b)
     check_refused(b, CANSER_OVERLAP, behind(b->memory.bytes, sizeof b->memory - 1), 1,
                   "data on frames");
     check_refused(b, CANSER_OVERLAP, behind(b->offsets, 0), 1, "data on offsets");
+    check_refused(b, CANSER_OVERLAP, behind(b->ends, 31), 1, "data on ends");
     check_refused(b, CANSER_OVERLAP, behind(b->controls, 5), 3, "data on controls");
 
     now.part = "self, batch or used NULL";
@@ -1037,12 +1064,14 @@ static void test_good_arguments(bench *b)
     now.part = "arrays that touch";
     static union {
         canser_control aligned;
-        uint8_t bytes[4 * (sizeof(canser_frame) + sizeof(int64_t) + sizeof(canser_control)) + 64];
+        uint8_t
+            bytes[4 * (sizeof(canser_frame) + 2 * sizeof(int64_t) + sizeof(canser_control)) + 64];
     } all;
     set_bench(b);
     b->batch.frames = behind(&all, 0);
     b->batch.offsets = behind(&all, 4 * sizeof(canser_frame));
-    b->batch.controls = behind(&all, 4 * (sizeof(canser_frame) + sizeof(int64_t)));
+    b->batch.ends = behind(&all, 4 * (sizeof(canser_frame) + sizeof(int64_t)));
+    b->batch.controls = behind(&all, 4 * (sizeof(canser_frame) + 2 * sizeof(int64_t)));
     check(canser_decoder_feed(&b->decoder, all.bytes + sizeof all - 64, 64, &b->batch, &b->used) ==
               CANSER_OK,
           "status");
@@ -1435,7 +1464,7 @@ static void test_tables(void)
 
 /* Times: a call has values of its own in memory against guard pages, more of them than are
  * told apart in one go. */
-enum { TIMES_MAX = 2200, TIMES_ARRAYS = 3 };
+enum { TIMES_MAX = 2200, TIMES_ARRAYS = 5, SAMPLE_WORDS = sizeof(canser_sample) / sizeof(int64_t) };
 
 static arena times_arenas[TIMES_ARRAYS];
 
@@ -1443,7 +1472,7 @@ static int64_t *place_times(int array, const int64_t *values, size_t count)
 {
     int64_t *const p = (int64_t *)(void *)put(&times_arenas[array], count * sizeof *p, 0, 0x5A);
 
-    if (count)
+    if (count && values)
         memcpy(p, values, count * sizeof *p);
     return p;
 }
@@ -1556,44 +1585,195 @@ static void check_mapped(const int64_t *device, const int64_t *arrivals, size_t 
     check_times(2, out, heights, count);
 }
 
-static void check_arrivals(size_t piece_count, size_t count)
+/* Pieces and, apart by 1 to 40, offsets: some of them lie behind all pieces. */
+static void make_pieces(int64_t *pieces, size_t piece_count, int64_t *at, size_t count)
 {
-    static const double byte_ns[] = {0, 86805.5, 1e300};
-    static int64_t pieces[2 * TIMES_MAX], offsets[TIMES_MAX], times[TIMES_MAX];
-    const double each = byte_ns[random_below(3)];
-    const int64_t reach = 1 + (int64_t)random_below(30);
     int64_t end = 0, ns = -1000, offset = (int64_t)random_below(3);
 
     for (size_t i = 0; i < piece_count; i++) {
         pieces[2 * i] = end += (int64_t)random_below(64);
         pieces[2 * i + 1] = ns += (int64_t)random_below(1 << 20);
     }
-    /* Some of them lie behind all pieces. */
     for (size_t i = 0; i < count; i++)
-        offset = 1 + (offsets[i] = offset + (int64_t)random_below(40));
-    end = offset + (int64_t)random_below(40);
-    for (size_t i = 0; i < count; i++) {
-        const int64_t next = i + 1 < count ? offsets[i + 1] : end;
-        const int64_t behind = next < offsets[i] + reach ? next : offsets[i] + reach;
-        size_t k = 0;
+        offset = 1 + (at[i] = offset + (int64_t)random_below(40));
+}
 
-        while (k < piece_count - 1 && pieces[2 * k] < behind)
-            k++;
-        const int64_t more = pieces[2 * k] > behind ? pieces[2 * k] - behind : 0;
+/* The piece that the byte at an offset came with. */
+static size_t piece_of(const int64_t *pieces, size_t piece_count, int64_t at)
+{
+    size_t k = 0;
+
+    while (k < piece_count - 1 && pieces[2 * k] <= at)
+        k++;
+    return k;
+}
+
+static const canser_piece *as_pieces(const int64_t *p)
+{
+    return (const canser_piece *)(const void *)p;
+}
+
+static void check_arrivals(size_t piece_count, size_t count)
+{
+    static const double byte_ns[] = {0, 86805.5, 1e300};
+    static int64_t pieces[2 * TIMES_MAX], at[TIMES_MAX], times[TIMES_MAX];
+    const double each = byte_ns[random_below(3)];
+
+    make_pieces(pieces, piece_count, at, count);
+    for (size_t i = 0; i < count; i++) {
+        const size_t k = piece_of(pieces, piece_count, at[i]);
+        const int64_t more = pieces[2 * k] > at[i] ? pieces[2 * k] - at[i] - 1 : 0;
         const double early = (double)more * each;
+
         times[i] = less(pieces[2 * k + 1], early < 9e18 ? (int64_t)early : INT64_MAX);
         if (k && times[i] < pieces[2 * k - 1])
             times[i] = pieces[2 * k - 1];
     }
     const int64_t *const p = place_times(0, pieces, 2 * piece_count);
-    const int64_t *const o = place_times(1, offsets, count);
-    int64_t *const out = place_times(2, offsets, count);
-    check(canser_times_arrivals((const canser_piece *)(const void *)p, piece_count, each, o, count,
-                                end, reach, out) == CANSER_OK,
+    const int64_t *const o = place_times(1, at, count);
+    int64_t *const out = place_times(2, at, count);
+    check(canser_times_arrivals(as_pieces(p), piece_count, each, o, count, out) == CANSER_OK,
           "another status");
     check_times(0, p, pieces, 2 * piece_count);
-    check_times(1, o, offsets, count);
+    check_times(1, o, at, count);
     check_times(2, out, times, count);
+}
+
+/* What is `expected` but for whole turns of 2^32, and ends as `ticks` does. */
+static uint64_t turn_near(uint64_t ticks, uint64_t expected)
+{
+    const uint64_t turn = UINT64_C(1) << 32;
+    uint64_t near = expected / turn * turn + ticks % turn;
+
+    if (near - expected < UINT64_C(1) << 63 && near - expected >= turn / 2)
+        near -= turn;
+    else if (near - expected >= UINT64_C(1) << 63 && expected - near > turn / 2)
+        near += turn;
+    return near;
+}
+
+static bool within_step(uint64_t a, uint64_t b)
+{
+    return a - b <= UINT64_C(1) << 24 || b - a <= UINT64_C(1) << 24;
+}
+
+/* Turns of a counter by the host's clock: the last frame that was near those before it tells the
+ * turn, or 16 in a row that are near each other. */
+static void check_turns(const int64_t *arrivals, size_t count)
+{
+    static const int64_t units[] = {1, 7, 1000, 1000000, 1000000000, 1 << 20};
+    static int64_t given[TIMES_MAX], times[TIMES_MAX];
+    const int64_t tick_ns = units[random_below(6)];
+    const double per_tick = 1.0 / (double)tick_ns;
+    canser_reading known = {0, 0}, last = {0, 0};
+    int run = 0;
+
+    for (size_t i = 0; i < count; i++) {
+        const int64_t host = arrivals[i];
+        /* What the host's clock says, or near it, or false, and any turn. */
+        const uint64_t drawn = random_below(4) ? (uint64_t)(host / tick_ns) + (random_word() & 3)
+                                               : random_word() >> random_below(40);
+        const uint64_t ticks = drawn + ((random_word() & 3) << 32);
+        uint64_t expected = known.ticks, follows = last.ticks, found;
+
+        given[i] = wrap(ticks * (uint64_t)tick_ns);
+        expected += (uint64_t)(int64_t)((double)less(host, known.host) * per_tick);
+        follows += (uint64_t)(int64_t)((double)less(host, last.host) * per_tick);
+        found = turn_near(ticks, expected);
+        if (!i) {
+            found = ticks % (UINT64_C(1) << 32);
+            known = (canser_reading){found, host};
+        } else if (within_step(found, expected)) {
+            known = (canser_reading){found, host};
+            run = 0;
+        } else {
+            const uint64_t next = turn_near(ticks, follows);
+            const bool goes_on = run && within_step(next, follows);
+
+            found = goes_on ? next : found;
+            run = goes_on ? run + 1 : 1;
+            last = (canser_reading){found, host};
+            if (run == 16) {
+                known = last;
+                run = 0;
+            }
+        }
+        times[i] = wrap(found * (uint64_t)tick_ns);
+    }
+    /* In two calls. */
+    const int64_t *const a = place_times(0, arrivals, count);
+    int64_t *const out = place_times(1, given, count);
+    const size_t cut = random_below(count + 1);
+    canser_turns turns = {0};
+    check(canser_times_turns(&turns, tick_ns, a, cut, out) == CANSER_OK &&
+              canser_times_turns(&turns, tick_ns, a + cut, count - cut, out + cut) == CANSER_OK,
+          "another status");
+    check_times(0, a, arrivals, count);
+    check_times(1, out, times, count);
+}
+
+/* What stands at rank 2 of a piece, 1 of less than 8 frames, 0 of less than 4. */
+static canser_sample plain_sample(const int64_t *device, const int64_t *arrivals, size_t begin,
+                                  size_t end)
+{
+    const size_t count = end - begin, rank = count < 4 ? 0 : count < 8 ? 1 : 2;
+
+    for (size_t i = begin; i < end; i++) {
+        const int64_t delay = less(arrivals[i], device[i]);
+        size_t before = 0;
+
+        for (size_t k = begin; k < end; k++) {
+            const int64_t other = less(arrivals[k], device[k]);
+            before += other < delay || (other == delay && k < i);
+        }
+        if (before == rank)
+            return (canser_sample){device[i], arrivals[i], (int64_t)end};
+    }
+    return (canser_sample){0, 0, -1};
+}
+
+static void check_samples(const int64_t *device, const int64_t *arrivals, size_t piece_count,
+                          size_t count)
+{
+    static int64_t pieces[2 * TIMES_MAX], at[TIMES_MAX];
+    static canser_sample expected[TIMES_MAX];
+    const size_t cut = random_below(count + 1);
+    size_t found = 0, begin = 0, first = SIZE_MAX, second = SIZE_MAX;
+
+    make_pieces(pieces, piece_count, at, count);
+    for (size_t i = 1; i < count; i++) {
+        /* By the end: a piece of no bytes is none. */
+        if (pieces[2 * piece_of(pieces, piece_count, at[i])] ==
+            pieces[2 * piece_of(pieces, piece_count, at[i - 1])])
+            continue;
+        expected[found] = plain_sample(device, arrivals, begin, i);
+        expected[found].index -= i < cut ? 0 : (int64_t)cut;
+        found++;
+        begin = i;
+    }
+    const int64_t *const p = place_times(0, pieces, 2 * piece_count);
+    const int64_t *const o = place_times(1, at, count);
+    const int64_t *const d = place_times(2, device, count);
+    const int64_t *const a = place_times(3, arrivals, count);
+    int64_t *const out = place_times(4, NULL, SAMPLE_WORDS * count);
+    canser_sample *const samples = (canser_sample *)(void *)out;
+    canser_sampler sampler = {0};
+    /* In two calls. */
+    check(canser_times_sample(&sampler, as_pieces(p), piece_count, o, cut, d, a, samples, &first) ==
+                  CANSER_OK &&
+              first <= found &&
+              canser_times_sample(&sampler, as_pieces(p), piece_count, o + cut, count - cut,
+                                  d + cut, a + cut, samples + first, &second) == CANSER_OK,
+          "another status");
+    check(first + second == found, "the number of samples differs");
+    check_times(0, p, pieces, 2 * piece_count);
+    check_times(1, o, at, count);
+    check_times(2, d, device, count);
+    check_times(3, a, arrivals, count);
+    check(found > count || memcmp(samples, expected, found * sizeof *samples) == 0,
+          "the samples differ");
+    check(is_clean_around(&times_arenas[4], (uint8_t *)samples, found * sizeof *samples, 0x5A),
+          "memory around the samples was written");
 }
 
 static void test_times(void)
@@ -1603,7 +1783,7 @@ static void test_times(void)
     now.part = "times";
     now.protocol = 0;
     for (int i = 0; i < TIMES_ARRAYS; i++)
-        times_arenas[i] = arena_new(2 * TIMES_MAX * sizeof(int64_t));
+        times_arenas[i] = arena_new(SAMPLE_WORDS * TIMES_MAX * sizeof(int64_t));
     for (size_t round = 0; round < 600; round++) {
         const size_t count = round < 60 ? round : random_below(random_below(8) ? 60 : TIMES_MAX);
 
@@ -1617,6 +1797,8 @@ static void test_times(void)
         }
         check_mapped(values[0], values[1], count);
         check_arrivals(1 + random_below(60), count);
+        check_turns(values[1], count);
+        check_samples(values[0], values[1], 1 + random_below(60), count);
         if (!count)
             continue;
         check_ranks(values[0], count);
@@ -1634,26 +1816,40 @@ static void test_times_arguments(void)
     int64_t memory[4], latest = 3;
     int64_t *const out = memory, *const off = behind(memory, 1);
     const int64_t *const in_off = (const int64_t *)(const void *)((const uint8_t *)in + 1);
+    canser_sample sample_memory[2];
+    canser_sample *const room = sample_memory, *const room_off = behind(sample_memory, 1);
+    canser_turns turns = {0};
+    canser_sampler sampler = {0};
     canser_ranked ranked;
-    size_t index;
+    size_t index, found = 1;
 
     memset(memory, 0x5A, sizeof memory);
+    memset(sample_memory, 0x5A, sizeof sample_memory);
     const struct {
         const char *what;
         int status, expected;
     } calls[] = {
-        {"pieces NULL", canser_times_arrivals(NULL, 2, 1, in, 2, 9, 1, out), CANSER_NULL},
-        {"no pieces", canser_times_arrivals(pieces, 0, 1, in, 2, 9, 1, out), CANSER_NULL},
-        {"offsets NULL", canser_times_arrivals(pieces, 2, 1, NULL, 2, 9, 1, out), CANSER_NULL},
-        {"arrivals NULL", canser_times_arrivals(pieces, 2, 1, in, 2, 9, 1, NULL), CANSER_NULL},
-        {"no frames", canser_times_arrivals(pieces, 2, 1, NULL, 0, 9, 1, NULL), CANSER_OK},
-        {"pieces",
-         canser_times_arrivals(behind((void *)(uintptr_t)pieces, 1), 1, 1, in, 1, 9, 1, out),
+        {"pieces NULL", canser_times_arrivals(NULL, 2, 1, in, 2, out), CANSER_NULL},
+        {"no pieces", canser_times_arrivals(pieces, 0, 1, in, 2, out), CANSER_NULL},
+        {"offsets NULL", canser_times_arrivals(pieces, 2, 1, NULL, 2, out), CANSER_NULL},
+        {"arrivals NULL", canser_times_arrivals(pieces, 2, 1, in, 2, NULL), CANSER_NULL},
+        {"no frames", canser_times_arrivals(pieces, 2, 1, NULL, 0, NULL), CANSER_OK},
+        {"pieces", canser_times_arrivals(behind((void *)(uintptr_t)pieces, 1), 1, 1, in, 1, out),
          CANSER_MISALIGNED},
-        {"offsets", canser_times_arrivals(pieces, 2, 1, in_off, 2, 9, 1, out), CANSER_MISALIGNED},
-        {"arrivals", canser_times_arrivals(pieces, 2, 1, in, 2, 9, 1, off), CANSER_MISALIGNED},
-        {"byte_ns", canser_times_arrivals(pieces, 2, -1, in, 2, 9, 1, out), CANSER_RANGE},
-        {"byte_ns", canser_times_arrivals(pieces, 2, NAN, in, 2, 9, 1, out), CANSER_RANGE},
+        {"offsets", canser_times_arrivals(pieces, 2, 1, in_off, 2, out), CANSER_MISALIGNED},
+        {"arrivals", canser_times_arrivals(pieces, 2, 1, in, 2, off), CANSER_MISALIGNED},
+        {"byte_ns", canser_times_arrivals(pieces, 2, -1, in, 2, out), CANSER_RANGE},
+        {"byte_ns", canser_times_arrivals(pieces, 2, NAN, in, 2, out), CANSER_RANGE},
+        {"turns NULL", canser_times_turns(NULL, 1, in, 4, out), CANSER_NULL},
+        {"arrivals NULL", canser_times_turns(&turns, 1, NULL, 4, out), CANSER_NULL},
+        {"times NULL", canser_times_turns(&turns, 1, in, 4, NULL), CANSER_NULL},
+        {"no times", canser_times_turns(&turns, 1, NULL, 0, NULL), CANSER_OK},
+        {"arrivals", canser_times_turns(&turns, 1, in_off, 3, out), CANSER_MISALIGNED},
+        {"times", canser_times_turns(&turns, 1, in, 3, off), CANSER_MISALIGNED},
+        {"tick", canser_times_turns(&turns, 0, in, 4, out), CANSER_TICK},
+        {"tick", canser_times_turns(&turns, INT64_MIN, in, 4, out), CANSER_TICK},
+        {"count NULL", canser_times_sample(&sampler, pieces, 2, in, 2, in, in, room, NULL),
+         CANSER_NULL},
         {"line NULL", canser_times_heights(NULL, in, in, 4, out), CANSER_NULL},
         {"device NULL", canser_times_heights(&line, NULL, in, 4, out), CANSER_NULL},
         {"arrivals NULL", canser_times_heights(&line, in, NULL, 4, out), CANSER_NULL},
@@ -1683,6 +1879,45 @@ static void test_times_arguments(void)
     }
     now.part = "times: what is left";
     check(is_filled((const uint8_t *)memory, (const uint8_t *)(memory + 4), 0x5A) && latest == 3,
+          "something was written");
+    check(is_zero(&turns, sizeof turns), "the turns have changed");
+
+    const struct {
+        canser_sampler *self;
+        const canser_piece *pieces;
+        size_t piece_count;
+        const int64_t *at, *device, *arrivals;
+        size_t count;
+        canser_sample *samples;
+        int expected;
+    } samplings[] = {
+        {NULL, pieces, 2, in, in, in, 2, room, CANSER_NULL},
+        {&sampler, NULL, 2, in, in, in, 2, room, CANSER_NULL},
+        {&sampler, pieces, 0, in, in, in, 2, room, CANSER_NULL},
+        {&sampler, pieces, 2, NULL, in, in, 2, room, CANSER_NULL},
+        {&sampler, pieces, 2, in, NULL, in, 2, room, CANSER_NULL},
+        {&sampler, pieces, 2, in, in, NULL, 2, room, CANSER_NULL},
+        {&sampler, pieces, 2, in, in, in, 2, NULL, CANSER_NULL},
+        {&sampler, pieces, 2, NULL, NULL, NULL, 0, NULL, CANSER_OK},
+        {&sampler, behind((void *)(uintptr_t)pieces, 1), 1, in, in, in, 2, room, CANSER_MISALIGNED},
+        {&sampler, pieces, 2, in_off, in, in, 2, room, CANSER_MISALIGNED},
+        {&sampler, pieces, 2, in, in_off, in, 2, room, CANSER_MISALIGNED},
+        {&sampler, pieces, 2, in, in, in_off, 2, room, CANSER_MISALIGNED},
+        {&sampler, pieces, 2, in, in, in, 1, room_off, CANSER_MISALIGNED},
+    };
+    for (size_t i = 0; i < sizeof samplings / sizeof *samplings; i++) {
+        now.part = "samples";
+        now.len = i;
+        found = 1;
+        check(canser_times_sample(samplings[i].self, samplings[i].pieces, samplings[i].piece_count,
+                                  samplings[i].at, samplings[i].count, samplings[i].device,
+                                  samplings[i].arrivals, samplings[i].samples,
+                                  &found) == samplings[i].expected &&
+                  found == 0,
+              "sample");
+    }
+    check(is_zero(&sampler, sizeof sampler) &&
+              is_filled((const uint8_t *)room, (const uint8_t *)(room + 2), 0x5A),
           "something was written");
 
     const struct {
@@ -1729,6 +1964,7 @@ static void check_chunk_refused(bench *b, int expected, canser_chunk *chunk,
           "the counts are not set by a chunk");
     check(memcmp(&b->memory, &before.memory, sizeof b->memory) == 0 &&
               memcmp(b->offsets, before.offsets, sizeof b->offsets) == 0 &&
+              memcmp(b->ends, before.ends, sizeof b->ends) == 0 &&
               memcmp(b->controls, before.controls, sizeof b->controls) == 0,
           "an array has changed");
     set_bench(b);
@@ -1941,8 +2177,9 @@ static void test_huge(void)
     const canser_frame sent = {.id = 0x123, .dlc = 8, .data = {1, 2, 3, 4, 5, 6, 7, 8}};
     uint8_t packet[CANSER_PACKET_MAX];
     canser_frame frames[PLACES + 1];
-    int64_t offsets[PLACES + 1];
-    canser_batch batch = {.frames = frames, .frame_cap = PLACES + 1, .offsets = offsets};
+    int64_t offsets[PLACES + 1], ends[PLACES + 1];
+    canser_batch batch = {
+        .frames = frames, .frame_cap = PLACES + 1, .offsets = offsets, .ends = ends};
     canser_decoder decoder;
     size_t used = 0;
     int refusal;
@@ -1967,6 +2204,7 @@ static void test_huge(void)
     check(batch.frame_count == PLACES, "the number of frames differs");
     for (size_t i = 0; i < PLACES && i < batch.frame_count; i++) {
         check((uint64_t)offsets[i] == places[i], "an offset differs");
+        check((uint64_t)ends[i] == places[i] + len, "an end differs");
         check(memcmp(&frames[i], &sent, sizeof sent) == 0, "a frame differs");
     }
     check(decoder.carry_len == 7, "the start of a frame is not held");
@@ -1979,8 +2217,9 @@ static void test_huge(void)
 
     /* The stream goes on, and offsets are still those of the whole stream. */
     check(canser_decoder_feed(&decoder, packet + 7, len - 7, &batch, &used) == CANSER_OK, "status");
-    check(batch.frame_count == 1 && (uint64_t)offsets[0] == size - 7,
-          "the offset of a frame across two calls differs");
+    check(batch.frame_count == 1 && (uint64_t)offsets[0] == size - 7 &&
+              (uint64_t)ends[0] == size - 7 + len,
+          "the offset or the end of a frame across two calls differs");
 }
 
 int main(int argc, char **argv)

@@ -208,7 +208,8 @@ static int64_t next_time(plain_stream *self, uint32_t raw)
             self->small_steps++;
             self->behind_line++;
         } else {
-            if (self->near_line || self->small_steps >= 16) {
+            bool in_line = self->near_line || self->small_steps >= 16;
+            if (in_line) {
                 self->has_line = true;
                 self->line = before;
                 self->behind_line = 0;
@@ -227,10 +228,13 @@ static int64_t next_time(plain_stream *self, uint32_t raw)
                 self->near_line = true;
             }
             /* Modulo 2^64, where times do not go half round. */
-            if (self->ticks - before >= UINT64_C(1) << 63)
+            if (self->ticks - before >= UINT64_C(1) << 63) {
                 self->stats.ts_backsteps++;
-            else if (raw < self->raw)
+                if (in_line && before - self->ticks > 0x1000000)
+                    self->stats.ts_uncertain++;
+            } else if (raw < self->raw) {
                 self->stats.ts_wraps++;
+            }
         }
     }
     self->raw = raw;
@@ -260,6 +264,7 @@ void plain_begin(plain_stream *self, int protocol, int64_t tick_ns)
         .tick_ns = tick_ns,
         .frames = self->frames,
         .offsets = self->offsets,
+        .ends = self->ends,
         .controls = self->controls,
         .row_cap = self->row_cap,
     };
@@ -306,6 +311,7 @@ void plain_scan(plain_stream *self, const uint8_t *bytes, size_t len, bool end)
             if (self->protocol == PLAIN_SERIAL)
                 row.ts = next_time(self, little_endian(p + 1, 4));
             self->offsets[self->frame_count] = (int64_t)(base + pos);
+            self->ends[self->frame_count] = (int64_t)(base + pos + f.len);
             self->frames[self->frame_count++] = row;
             self->stats.frames++;
             self->stats.bytes_framed += f.len;

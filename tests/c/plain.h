@@ -26,6 +26,7 @@ typedef struct {
 
     canser_frame *frames;
     int64_t *offsets; /* of each frame in the stream */
+    int64_t *ends;    /* behind each frame */
     canser_control *controls;
     size_t row_cap;
     size_t frame_count;

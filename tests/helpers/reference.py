@@ -73,6 +73,7 @@ class Stats:
     pending: int = 0
     ts_wraps: int = 0
     ts_backsteps: int = 0
+    ts_uncertain: int = 0
 
     @classmethod
     def of(cls, snapshot: Any) -> "Stats":
@@ -89,12 +90,16 @@ class Stats:
 
 @dataclass
 class Result:
-    """All that a stream holds; `offsets` are those of the frames' first bytes."""
+    """All that a stream holds; `offsets` are those of the frames' first bytes.
+
+    `ends` are those behind their last ones; only `decode` gives them.
+    """
 
     frames: list[Frame] = field(default_factory=list)
     offsets: list[int] = field(default_factory=list)
     controls: list[Control] = field(default_factory=list)
     stats: Stats = field(default_factory=Stats)
+    ends: list[int] = field(default_factory=list, compare=False)
 
 
 class NeedMoreError(Exception):
@@ -334,7 +339,8 @@ class Clock:
             self.small_steps += 1
             self.behind += 1
         else:
-            if self.near or self.small_steps >= 16:
+            in_line = self.near or self.small_steps >= 16
+            if in_line:
                 self.line = self.ticks
                 self.behind = 0
             self.behind += 1
@@ -348,6 +354,7 @@ class Clock:
                     self.near = True
             if ticks < self.ticks:
                 self.stats.ts_backsteps += 1
+                self.stats.ts_uncertain += in_line and self.ticks - ticks > self.SMALL
             elif raw < self.previous:
                 self.stats.ts_wraps += 1
             self.ticks = ticks
@@ -394,6 +401,7 @@ def decode(stream: bytes, protocol: str, tick_ns: int = 1_000_000, *, flush: boo
             stats.bytes_framed += len(packet)
             result.frames.append(frame)
             result.offsets.append(position)
+            result.ends.append(position + len(packet))
         skipping = False
         position += len(packet)
     stats.pending = len(stream) - position

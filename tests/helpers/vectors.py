@@ -19,6 +19,7 @@ with `#` is a comment. Numbers are decimal, ids and bytes hexadecimal.
     resyncs: 1              unbroken runs of skipped bytes
     wraps: 1                steps of the clock forward through zero
     backsteps: 1            steps of the clock back
+    uncertain: 1            of these, those of more than 2**24 ticks from a clock in line
     pending: 1              bytes held before the end of the stream is told
     canonical: yes          encoding the frames gives the same bytes
 
@@ -40,7 +41,7 @@ SOURCES = (
     "design: wire formats",
 )
 
-ONCE = ("unit", "skipped", "resyncs", "wraps", "backsteps", "pending", "canonical")
+ONCE = ("unit", "skipped", "resyncs", "wraps", "backsteps", "uncertain", "pending", "canonical")
 
 
 @dataclass
@@ -59,6 +60,7 @@ class Vector:
     resyncs: int = 0
     wraps: int = 0
     backsteps: int = 0
+    uncertain: int = 0
     pending: int = 0
     canonical: bool = False
 
@@ -85,6 +87,7 @@ class Vector:
                 pending=0,
                 ts_wraps=self.wraps,
                 ts_backsteps=self.backsteps,
+                ts_uncertain=self.uncertain,
             ),
         )
 
@@ -152,7 +155,7 @@ def parse_line(vector: Vector, source: str, key: str, value: str) -> None:
             vector.controls.append(Control(int(offset_text), parse_bytes(packet)))
         case "skipped":
             vector.skipped = parse_skipped(value)
-        case "resyncs" | "wraps" | "backsteps" | "pending":
+        case "resyncs" | "wraps" | "backsteps" | "uncertain" | "pending":
             setattr(vector, key, int(value))
         case "canonical":
             if value != "yes":
