@@ -253,7 +253,9 @@ def test_a_simulator(name: str, value: object) -> None:
             "stalls": [5, [5], [(1,)], [(-1, 2.0)], [(1, "x")], [(1.5, 2.0)], [(1, math.inf)]],
             "unplug_after": ["x", 1.5, True, -1],
             "seed": [*NOT_WHOLE, -1],
-            "deaf": NOT_FLAGS,
+            "mute": NOT_FLAGS,
+            "deaf": [*NOT_REAL, math.nan, math.inf, -1],
+            "swallow": NOT_FLAGS,
         }
     ),
     ids=str,
