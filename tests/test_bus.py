@@ -25,6 +25,7 @@ from canser.python_can.bus import CanserBus  # noqa: E402
 from canser.simulation.traffic import vehicle  # noqa: E402
 from device import PATIENCE, Device  # noqa: E402
 from plugins import needs_installation  # noqa: E402
+from readers import read_config  # noqa: E402
 from reference import Frame  # noqa: E402
 from samples import EPOCH, array, listed  # noqa: E402
 from wires import echo, linked  # noqa: E402
@@ -579,7 +580,7 @@ def test_the_fields_of_both_configs_are_options(caplog: pytest.LogCaptureFixture
         Device() as device,
         CanserBus(device.url, protocol="seeed", **asdict(config), **asdict(line)) as bus,
     ):
-        assert device.read(20) == canser.adapters.configuration("seeed", config)
+        assert read_config(device) == canser.adapters.configuration("seeed", config)
         assert bus.state is can.BusState.PASSIVE
         assert bus.port.baudrate == 9600
     assert not caplog.records
@@ -716,12 +717,12 @@ def test_a_bus_that_is_forgotten_closes_its_port(caplog: pytest.LogCaptureFixtur
 
 def test_the_adapter_is_configured_and_may_be_made_passive() -> None:
     with Device() as line, CanserBus(line.url, protocol="seeed", bitrate=500_000) as bus:
-        said = canser.adapters.report("seeed", line.read(20))
+        said = canser.adapters.report("seeed", read_config(line))
         assert (said.bitrate, said.mode) == (500_000, "normal")
         assert bus.state is can.BusState.ACTIVE
         bus.state = can.BusState.ACTIVE
         bus.state = can.BusState.PASSIVE
-        said = canser.adapters.report("seeed", line.read(20))
+        said = canser.adapters.report("seeed", read_config(line))
         assert (said.bitrate, said.mode) == (500_000, "silent")
         assert bus.state is can.BusState.PASSIVE
         with pytest.raises(NotImplementedError):

@@ -11,6 +11,7 @@ from canser.codec.refusals import Refusals
 from canser.commands._numbers import real
 from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, write_line
 from canser.commands._port import open_port, port_arguments
+from canser.commands._screen import warnings_as_lines
 from canser.commands._sending import Sender
 from canser.commands._source import FORMATS, as_is_argument, bus_argument, format_name, read_options
 from canser.commands._traffic import TrafficFile
@@ -91,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
         if file:
             source.check()
         first = pipe or _open(args)
-        with first, open_port(args) as port:
+        with first, warnings_as_lines(write_line), open_port(args) as port:
             sender = Sender(port, wanted=lambda: not stop)
             try:
                 played = play(

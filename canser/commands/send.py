@@ -7,6 +7,7 @@ from canser._items import frames as make_frames
 from canser.codec.decoder import encode
 from canser.commands._parser import GOOD, CallError, Commands, add_command, write_line
 from canser.commands._port import open_port, port_arguments
+from canser.commands._screen import warnings_as_lines
 from canser.commands._sending import Sender
 
 __all__ = ["add"]
@@ -41,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
         encode(timed, args.protocol)
     except ValueError as error:
         raise CallError(str(error)) from None
-    with open_port(args) as port:
+    with warnings_as_lines(write_line), open_port(args) as port:
         sender = Sender(port)
         sender.send(frames)
         sender.drain()

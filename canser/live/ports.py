@@ -26,11 +26,18 @@ from canser._items import FrameItems
 from canser._items import frames as make_frames
 from canser.adapters import AdapterConfig, AdapterReport
 from canser.codec.decoder import Control, Decoder, Stats, decode, encode
-from canser.errors import PortClosedError, PortError, SendError, SendTimeoutError
+from canser.errors import (
+    CanserWarning,
+    PortClosedError,
+    PortError,
+    SendError,
+    SendTimeoutError,
+)
 from canser.live.config import LineConfig, adapter_config
 from canser.live.line import Line, open_line
 from canser.live.reader import NO_MORE, LineReader
 from canser.live.ring import Gap, Ring
+from canser.live.setup import SILENCE_S, Setup
 from canser.live.stream import LiveStream, OnBytes
 from canser.timing.clocks import ClockEstimate, FrameClock
 
@@ -41,8 +48,13 @@ _T = TypeVar("_T")
 # Bits of a byte on the line, with its start and stop bit.
 _BYTE_BITS: Final = 10
 
-# The pause after a configuration that the adapter's document asks for.
+# The pause after a configuration where the adapter cannot be asked whether it listens.
 _SETTLE_S: Final = 0.1
+
+# A send looks this often whether the adapter listens.
+_LOOK_S: Final = 0.005
+
+_DEAF: Final = "the adapter did not say within the time-out that it listens"
 
 # Frames come soon if they are due within this time, at the rate of those before.
 _SOON_S: Final = 0.02
@@ -73,7 +85,10 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
     protocol : str
         What the adapter speaks: a name of `canser.protocols()` or an accepted spelling.
     bitrate : int, optional
-        Of the CAN bus in bit/s. The adapter is configured to it when it is opened.
+        Of the CAN bus in bit/s. The adapter is configured to it when it is opened, and again
+        when it comes back. Adapters that know a status request are asked for their status until
+        they answer: they need some time before they listen. Only `Port.send` and
+        `Port.request_status` wait for that, and a CanserWarning tells where no answer comes.
     config : AdapterConfig, optional
         The whole configuration of the adapter, instead of `bitrate`. Without both of them the
         adapter is left as it is.
@@ -163,6 +178,7 @@ class Port(Uncopied):
         self._closed, self._pid = True, os.getpid()  # until it is open
         self.url, self.decoder, self.protocol = url, decoder, decoder.protocol
         config_packet = b"" if config is None else adapters.configuration(self.protocol, config)
+        self._setup = Setup(self.protocol, config_packet)
         self.bitrate = None if config is None else config.bitrate
         assert line.baudrate is not None  # `open` has set it
         self.baudrate = line.baudrate
@@ -183,6 +199,7 @@ class Port(Uncopied):
             self._ring,
             decoder,
             frame_clock,
+            self._setup,
             on_bytes=on_bytes,
             ping_s=self._ping_s,
             device_time=device_time,
@@ -192,12 +209,12 @@ class Port(Uncopied):
         self._pending_frames: deque[FrameArray] = deque()
         self._held = False  # what `hold_ready` was told
         # Nothing in the thread may hold the port: it would never be collected.
-        self._connect = _Connect(url, line, config_packet)
         self._reader = LineReader(
             url,
-            self._connect,
+            _Connect(url, line, self._setup),
             self._ring,
             self._clock,
+            self._setup,
             byte_s=_BYTE_BITS / self.baudrate,
             reconnect=reconnect,
             heartbeat=row.ping if line.ping is not None else b"",
@@ -244,6 +261,7 @@ class Port(Uncopied):
         returns what this one had.
         """
         self._check_open()
+        self._tell_silence()
         room = self._check_room(out, max_frames)
         if not 0 <= whole(min_frames, "min_frames", "1") <= len(room):
             raise ValueError(f"min_frames is {min_frames}; it must be 0 to {len(room)}, the room")
@@ -378,16 +396,17 @@ class Port(Uncopied):
 
         `frames`: an array of FRAME_DTYPE, shape (n,), contiguous; or what `canser.frames` makes
         one of, such as "123#DEADBEEF". A time that is not known goes out as the time since the
-        port was opened. Returns when the system has taken the last byte. `timeout`: seconds
-        for the whole.
+        port was opened. Waits until an adapter that was configured listens, 2 s at most. Returns
+        when the system has taken the last byte. `timeout`: seconds for the whole.
 
         ValueError for a frame that the format cannot carry: nothing is sent then.
-        SendTimeoutError when the line takes no more in time, SendError when it is gone:
+        SendTimeoutError when the adapter does not listen or the line takes no more in time,
+        SendError when it is gone:
         `sent` tells how many frames went out. One that is cut by the time-out counts as
         sent: its rest goes out before anything else.
         """
         self._check_open()
-        timeout = check_timeout(timeout)
+        deadline = _deadline(timeout)
         if not isinstance(frames, np.ndarray):
             frames = make_frames(frames)
         input_frames(frames)  # before its times are asked for
@@ -397,22 +416,27 @@ class Port(Uncopied):
                 frames = copy_records(frames)
                 frames["ts"][unknown] = self._clock() - self._opened_ns
         raw = encode(frames, self.protocol, ts_unit=self._ts_unit)
+        listens = self._wait_listening(deadline)
+        self._tell_silence()
 
         def missing(written: int) -> int:
             ends = self._ends(raw)
             return int(ends[np.searchsorted(ends, written)]) - written
 
-        written, why = self._reader.write(raw, timeout, missing)
+        written, why = 0, _DEAF
+        if listens:
+            written, why = self._reader.write(raw, _left(deadline), missing)
         if not why:
             return len(frames)
         whole = int(np.searchsorted(self._ends(raw), written, side="right"))
-        kind = SendTimeoutError if why == NO_MORE else SendError
+        kind = SendTimeoutError if why in (NO_MORE, _DEAF) else SendError
         raise kind(f"{self.url}: {why}; {whole} of {len(frames)} frames were sent", whole, why)
 
     def send_raw(self, data: BytesLike, *, timeout: float | None = None) -> None:
         """Send bytes as they are, such as a command that canser does not know.
 
-        SendError (SendTimeoutError), whose `sent` is 0, when not all could be sent.
+        Does not wait until an adapter listens. SendError (SendTimeoutError), whose `sent` is 0,
+        when not all could be sent.
         """
         self._check_open()
         timeout = check_timeout(timeout)
@@ -457,7 +481,10 @@ class Port(Uncopied):
     # The adapter's own commands
 
     def configure(self, config: AdapterConfig | None = None, *, bitrate: int | None = None) -> None:
-        """Configure the adapter, as `canser.open` does. Takes 0.1 s.
+        """Configure the adapter, as `canser.open` does.
+
+        Returns when the configuration is written. Adapters that know a status request are then
+        asked for their status until they answer, for which `send` waits.
 
         Parameters
         ----------
@@ -478,30 +505,47 @@ class Port(Uncopied):
         config = adapter_config(bitrate, config)
         if config is None:
             raise ValueError("bitrate is missing; give bitrate or config")
-        packet = adapters.configuration(self.protocol, config)
-        self.send_raw(packet)
-        self._connect.config_packet, self.bitrate = packet, config.bitrate
-        time.sleep(_SETTLE_S)
+        before = self._setup.config_packet
+        # Set first: otherwise the reader's thread could write the one before behind it.
+        self._setup.config_packet = adapters.configuration(self.protocol, config)
+        try:
+            self.send_raw(self._setup.config_packet)
+        except BaseException:
+            self._setup.config_packet = before
+            raise
+        self.bitrate = config.bitrate
+        if self._setup.asks:
+            self._setup.start()
+            self._reader.wake()
+        else:
+            time.sleep(_SETTLE_S)
 
     def request_status(self, *, timeout: float | None = 1.0) -> AdapterReport:
         """Ask the adapter for its status, and return the answer.
 
-        Frames that come meanwhile are returned by the next reads. ValueError where the
-        protocol knows no status; PortError when no answer comes.
+        Waits until an adapter that was configured listens. Frames that come meanwhile are
+        returned by the next reads. ValueError where the protocol knows no status; PortError when
+        no answer comes.
         """
         request = find_protocol(self.protocol).status_request
         if not request:
             raise ValueError(f"{self.protocol} adapters know no status request")
         deadline = _deadline(timeout)
+        self._check_open()
+        no_answer = PortError(
+            f"{self.url} did not answer the status request within {timeout or 0:g} s; "
+            "is it this kind of adapter?"
+        )
+        if not self._wait_listening(deadline):
+            raise no_answer
+        self._tell_silence()
+        self._setup.end()
         self._stream.status = None
-        self.send_raw(request, timeout=timeout)
+        self.send_raw(request, timeout=_left(deadline))
         while (status := self._stream.status) is None:
             self._check_open()
             if deadline is not None and time.monotonic() >= deadline:
-                raise PortError(
-                    f"{self.url} did not answer the status request within {timeout:g} s; "
-                    "is it this kind of adapter?"
-                )
+                raise no_answer
             # Another thread that reads finds the answer, too.
             if self._take_turn(_sooner(deadline, _TURN_S)):
                 try:
@@ -532,6 +576,26 @@ class Port(Uncopied):
             raise PortError(
                 f"{self.url} was opened by process {self._pid}, before a fork; "
                 "open it in the process that uses it"
+            )
+
+    def _wait_listening(self, deadline: float | None) -> bool:
+        """Wait until the adapter listens, or there is no line; False after the deadline."""
+        while not self._setup.listening and self._reader.running:
+            left = _left(deadline)
+            if left == 0:
+                return False
+            time.sleep(_LOOK_S if left is None else min(left, _LOOK_S))
+        return True
+
+    def _tell_silence(self) -> None:
+        """Warn, once, that the adapter did not answer."""
+        if self._setup.take_silence():
+            warnings.warn(
+                f"{self.url} did not answer its status request within {SILENCE_S:g} s; frames "
+                "are sent without an answer, and the first ones may be lost. Is the adapter on, "
+                "and the baud rate right?",
+                CanserWarning,
+                stacklevel=3,
             )
 
     def _take_turn(self, deadline: float | None) -> bool:
@@ -659,14 +723,14 @@ class Port(Uncopied):
 
 
 class _Connect:
-    """Open the line, and configure the adapter by `config_packet`; b"" leaves it as it is."""
+    """Open the line, write the adapter's configuration if there is one, and start its setup."""
 
-    def __init__(self, url: str, line: LineConfig, config_packet: bytes) -> None:
-        self._url, self._line, self.config_packet = url, line, config_packet
+    def __init__(self, url: str, line: LineConfig, setup: Setup) -> None:
+        self._url, self._line, self._setup = url, line, setup
 
     def __call__(self) -> Line:
         line = open_line(self._url, self._line)
-        packet = self.config_packet  # another thread may set the next one
+        packet = self._setup.config_packet  # another thread may set the next one
         rest = memoryview(packet)
         try:
             while rest:
@@ -679,7 +743,8 @@ class _Connect:
         except BaseException:
             line.close()
             raise
-        if packet:
+        self._setup.start()
+        if packet and not self._setup.asks:
             time.sleep(_SETTLE_S)
         return line
 
@@ -688,6 +753,11 @@ def _deadline(timeout: float | None) -> float | None:
     """Return when a time-out is over, by time.monotonic(); None for never."""
     seconds = check_timeout(timeout)
     return None if seconds is None else time.monotonic() + seconds
+
+
+def _left(deadline: float | None) -> float | None:
+    """Return the seconds until a deadline, 0 after it; None for never."""
+    return None if deadline is None else max(deadline - time.monotonic(), 0)
 
 
 def _sooner(deadline: float | None, seconds: float) -> float:

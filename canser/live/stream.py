@@ -15,6 +15,7 @@ from canser.codec.decoder import Control, Decoder
 from canser.codec.doubt import is_doubtful
 from canser.errors import CanserWarning
 from canser.live.ring import Gap, Read, Ring
+from canser.live.setup import Setup
 from canser.timing.clocks import FrameClock
 
 __all__ = ["LiveStream", "OnBytes"]
@@ -49,6 +50,7 @@ class LiveStream:
         ring: Ring,
         decoder: Decoder,
         frame_clock: FrameClock,
+        setup: Setup,
         *,
         on_bytes: OnBytes | None,
         ping_s: float,
@@ -62,6 +64,7 @@ class LiveStream:
         self._timed = 0  # of these, those that have their times
         self._decoded = 0  # frames of the whole stream
         self._url, self._ring, self._on_bytes = url, ring, on_bytes
+        self._setup = setup
         self._offsets = np.empty(0, np.int64)
         self._device_time = device_time
         self._untold: deque[Read] = deque()  # not given to `on_bytes` yet
@@ -201,6 +204,8 @@ class LiveStream:
 
     def _keep_controls(self) -> None:
         for control in self.decoder.take_controls():
+            if self._setup.take_answer(control.offset):
+                continue
             self.controls.append(control)
             report = adapters.report(self.decoder.protocol, control.data)
             if report.kind == "ping":
