@@ -169,6 +169,23 @@ def test_one_that_answers_no_more_behind_its_second_configuration(make: Make) ->
     assert not setup.take_silence()  # it has answered
 
 
+def test_a_configuration_behind_another_one_is_written_again(make: Make) -> None:
+    """It may be the packet that is swallowed; then the first request is answered."""
+    adapter, setup = make(swallow=True)
+    adapter.write(CONFIG)
+    assert adapter.configured
+    adapter.configured = False
+    setup.start()
+    adapter.set_up(setup)
+    assert [name for _, name in adapter.said] == ["config", "config", "ask", "config", "ask", "ask"]
+    assert adapter.configured
+    adapter.said.clear()
+    adapter.write(CONFIG)  # once it listens
+    setup.start()
+    adapter.set_up(setup)
+    assert [name for _, name in adapter.said] == ["config", "ask", "ask", "config", "ask", "ask"]
+
+
 def test_a_line_that_takes_nothing_is_asked_again(make: Make) -> None:
     adapter, setup = make()
     adapter.busy = 3

@@ -40,9 +40,10 @@ class Setup:
     the protocol has no status request, nothing is asked and the adapter is taken to listen.
 
     The adapter is asked every 0.1 s. Where it answered the second request or a later one, it may
-    have missed its configuration: that is written again, and the adapter is asked again. An
-    adapter that did not answer for 2 s is never asked again: from then on it is taken to listen
-    0.7 s after it was configured.
+    have missed its configuration: that is written again, and the adapter is asked again. So it is
+    where the configuration came while the adapter was still asked because of an earlier one,
+    behind which it may have been swallowed. An adapter that did not answer for 2 s is never asked
+    again: from then on it is taken to listen 0.7 s after it was configured.
     """
 
     def __init__(self, protocol: str, config_packet: bytes) -> None:
@@ -74,7 +75,10 @@ class Setup:
     def start(self) -> None:
         """Begin anew: the configuration was written just now."""
         if self.asks:
-            self._asking = _Asking(self._protocol, time.monotonic(), asks=not self._silent)
+            doubtful = not self.listening
+            self._asking = _Asking(
+                self._protocol, time.monotonic(), asks=not self._silent, doubtful=doubtful
+            )
 
     def step(self, now: float, write: Callable[[bytes], bool]) -> float | None:
         """Write what is due; return in how many seconds the next step is, None for never.
@@ -129,7 +133,7 @@ class Setup:
 
     def _advance(self, asking: "_Asking", now: float, write: Callable[[bytes], bool]) -> None:
         if asking.heard:
-            if asking.again or asking.asked == 1:
+            if asking.again or (asking.asked == 1 and not asking.doubtful):
                 asking.listen(now)
             elif write(self.config_packet):
                 asking.begin(now)
@@ -148,8 +152,9 @@ class Setup:
 class _Asking:
     """What has come of the requests behind one configuration, or two. One thread changes it."""
 
-    def __init__(self, protocol: str, now: float, *, asks: bool) -> None:
+    def __init__(self, protocol: str, now: float, *, asks: bool, doubtful: bool) -> None:
         self.decoder = Decoder(protocol)
+        self.doubtful = doubtful  # an earlier configuration may have had this one swallowed
         self.asked = self.answered = 0
         self.again = False  # the configuration was written a second time
         self.listening = self.over = False
