@@ -187,7 +187,7 @@ CALLS: dict[str, dict[str, list[Any]]] = {
         "timeout": ["x", True, math.nan, [1]],
     },
     "batches": {"max_frames": [*NOT_WHOLE, 0], "timeout": ["x", True, math.nan]},
-    "send": {"timeout": ["x", True, math.nan]},
+    "send": {"pace": NOT_FLAGS, "timeout": ["x", True, math.nan]},
     "send_raw": {"timeout": ["x", True, math.nan]},
     "drain": {"timeout": ["x", True, math.nan]},
     "request_status": {"timeout": ["x", True, math.nan]},

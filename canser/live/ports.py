@@ -35,6 +35,8 @@ from canser.errors import (
 )
 from canser.live.config import LineConfig, adapter_config
 from canser.live.line import Line, open_line
+from canser.live.meter import longest_bits
+from canser.live.pacing import AHEAD_FRAMES, Pacer
 from canser.live.reader import NO_MORE, LineReader
 from canser.live.ring import Gap, Ring
 from canser.live.setup import SILENCE_S, Setup
@@ -55,6 +57,7 @@ _SETTLE_S: Final = 0.1
 _LOOK_S: Final = 0.005
 
 _DEAF: Final = "the adapter did not say within the time-out that it listens"
+_BUSY: Final = "the bus can have sent no more within the time-out"
 
 # Frames come soon if they are due within this time, at the rate of those before.
 _SOON_S: Final = 0.02
@@ -204,6 +207,7 @@ class Port(Uncopied):
             ping_s=self._ping_s,
             device_time=device_time,
         )
+        self._pacer = Pacer()
         self._reading = threading.RLock()
         # Decoded in a call that returned no frames: an exception, or the wait for a status.
         self._pending_frames: deque[FrameArray] = deque()
@@ -391,22 +395,24 @@ class Port(Uncopied):
 
     # Writing
 
-    def send(self, frames: FrameItems, *, timeout: float | None = None) -> int:
-        """Send frames, as fast as the line takes them; return how many, all of them.
+    def send(self, frames: FrameItems, *, timeout: float | None = None, pace: bool = True) -> int:
+        """Send frames, as fast as the line and the bus take them; return how many, all of them.
 
         `frames`: an array of FRAME_DTYPE, shape (n,), contiguous; or what `canser.frames` makes
         one of, such as "123#DEADBEEF". A time that is not known goes out as the time since the
-        port was opened. Waits until an adapter that was configured listens, 2 s at most. Returns
-        when the system has taken the last byte. `timeout`: seconds for the whole.
+        port was opened. Waits until an adapter that was configured listens; for that alone give
+        no frames, []. Returns when the system has taken the last byte. `timeout`: seconds for the
+        whole. `pace`: where the bit rate of the bus is known, at most 16 frames go out that the
+        bus cannot have sent yet, each taken to be as long as stuff bits can make it. An adapter
+        throws away what it has no room for. `pace=False` sends as fast as the line takes frames.
 
         ValueError for a frame that the format cannot carry: nothing is sent then.
-        SendTimeoutError when the adapter does not listen or the line takes no more in time,
-        SendError when it is gone:
-        `sent` tells how many frames went out. One that is cut by the time-out counts as
-        sent: its rest goes out before anything else.
+        SendTimeoutError when the adapter does not listen, or the line or the bus takes no more
+        in time, SendError when the line is gone: `sent` tells how many frames went out. One that
+        is cut by the time-out counts as sent: its rest goes out before anything else.
         """
         self._check_open()
-        deadline = _deadline(timeout)
+        deadline, pace = _deadline(timeout), flag(pace, "pace")
         if not isinstance(frames, np.ndarray):
             frames = make_frames(frames)
         input_frames(frames)  # before its times are asked for
@@ -418,18 +424,13 @@ class Port(Uncopied):
         raw = encode(frames, self.protocol, ts_unit=self._ts_unit)
         listens = self._wait_listening(deadline)
         self._tell_silence()
-
-        def missing(written: int) -> int:
-            ends = self._ends(raw)
-            return int(ends[np.searchsorted(ends, written)]) - written
-
         written, why = 0, _DEAF
         if listens:
-            written, why = self._reader.write(raw, _left(deadline), missing)
+            written, why = self._write_frames(frames, raw, deadline, pace=pace)
         if not why:
             return len(frames)
         whole = int(np.searchsorted(self._ends(raw), written, side="right"))
-        kind = SendTimeoutError if why in (NO_MORE, _DEAF) else SendError
+        kind = SendTimeoutError if why in (NO_MORE, _DEAF, _BUSY) else SendError
         raise kind(f"{self.url}: {why}; {whole} of {len(frames)} frames were sent", whole, why)
 
     def send_raw(self, data: BytesLike, *, timeout: float | None = None) -> None:
@@ -714,6 +715,33 @@ class Port(Uncopied):
             if self._ring.wait(wanted, soon):
                 return True
         return self._ring.wait(wanted, deadline)
+
+    def _write_frames(
+        self, frames: FrameArray, raw: bytes, deadline: float | None, *, pace: bool
+    ) -> tuple[int, str]:
+        """Write encoded frames; return how many bytes went out or will, and why not all did."""
+        written, sent, why = 0, 0, ""
+
+        def missing(count: int) -> int:
+            at = written + count
+            ends = self._ends(raw)
+            return int(ends[np.searchsorted(ends, at)]) - at
+
+        if not pace or self.bitrate is None or not len(frames):
+            return self._reader.write(raw, _left(deadline), missing)
+        ends = None  # where all frames may go out at once, as is mostly so, they are not needed
+        while sent < len(frames) and not why:
+            bits = longest_bits(frames[sent : sent + AHEAD_FRAMES])
+            count = self._pacer.take([each / self.bitrate for each in bits], deadline)
+            if not count:
+                return written, _BUSY
+            sent += count
+            if sent < len(frames) and ends is None:
+                ends = self._ends(raw)
+            part = raw[written:] if ends is None else raw[written : ends[sent - 1]]
+            more, why = self._reader.write(part, _left(deadline), missing)
+            written += more
+        return written, why
 
     def _ends(self, raw: bytes) -> npt.NDArray[np.int64]:
         """Return where each of the packets ends that `encode` gave."""
