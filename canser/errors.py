@@ -112,7 +112,7 @@ class SendError(PortError):
 
 
 class SendTimeoutError(SendError):
-    """The line took no more within the time-out."""
+    """The adapter, the line or the bus took no more within the time-out."""
 
 
 class CanserWarning(UserWarning):

@@ -22,9 +22,11 @@ pytest.importorskip("termios", reason="pseudo terminals are POSIX's")
 import canser  # noqa: E402
 from canser._frames import FrameArray  # noqa: E402
 from canser.python_can.bus import CanserBus  # noqa: E402
+from canser.simulation.simulator import Simulator  # noqa: E402
 from canser.simulation.traffic import vehicle  # noqa: E402
 from device import PATIENCE, Device  # noqa: E402
 from plugins import needs_installation  # noqa: E402
+from readers import read_config  # noqa: E402
 from reference import Frame  # noqa: E402
 from samples import EPOCH, array, listed  # noqa: E402
 from wires import echo, linked  # noqa: E402
@@ -579,7 +581,7 @@ def test_the_fields_of_both_configs_are_options(caplog: pytest.LogCaptureFixture
         Device() as device,
         CanserBus(device.url, protocol="seeed", **asdict(config), **asdict(line)) as bus,
     ):
-        assert device.read(20) == canser.adapters.configuration("seeed", config)
+        assert read_config(device) == canser.adapters.configuration("seeed", config)
         assert bus.state is can.BusState.PASSIVE
         assert bus.port.baudrate == 9600
     assert not caplog.records
@@ -716,16 +718,54 @@ def test_a_bus_that_is_forgotten_closes_its_port(caplog: pytest.LogCaptureFixtur
 
 def test_the_adapter_is_configured_and_may_be_made_passive() -> None:
     with Device() as line, CanserBus(line.url, protocol="seeed", bitrate=500_000) as bus:
-        said = canser.adapters.report("seeed", line.read(20))
+        said = canser.adapters.report("seeed", read_config(line))
         assert (said.bitrate, said.mode) == (500_000, "normal")
         assert bus.state is can.BusState.ACTIVE
         bus.state = can.BusState.ACTIVE
         bus.state = can.BusState.PASSIVE
-        said = canser.adapters.report("seeed", line.read(20))
+        said = canser.adapters.report("seeed", read_config(line))
         assert (said.bitrate, said.mode) == (500_000, "silent")
         assert bus.state is can.BusState.PASSIVE
         with pytest.raises(NotImplementedError):
             bus.state = can.BusState.ERROR
+
+
+def test_an_adapter_that_needs_time_gets_every_message() -> None:
+    """Right after opening, and right after its state has changed."""
+    frames = vehicle(0.1)
+    with (
+        Simulator("seeed", faults=canser.Faults(deaf=0.5, swallow=True)) as device,
+        CanserBus(device.url, protocol="seeed", bitrate=500_000) as bus,
+    ):
+        with pytest.raises(can.CanTimeoutError, match="did not say within the time-out"):
+            bus.send(message(arbitration_id=1), timeout=0)
+        for number in (2, 3):
+            bus.send(message(arbitration_id=number))
+        bus.state = can.BusState.PASSIVE
+        bus.state = can.BusState.ACTIVE
+        assert bus.send_batch(frames) == len(frames)
+        until(lambda: device.report().frames_received == 2 + len(frames))
+        assert device.received["id"].tolist() == [2, 3, *frames["id"].tolist()]
+        assert device.configuration is not None
+        assert device.configuration.mode == "normal"
+        assert bus.port.take_controls() == []
+
+
+def test_the_bus_sets_the_pace_of_messages() -> None:
+    with (
+        Simulator("seeed") as device,
+        CanserBus(device.url, protocol="seeed", bitrate=10_000) as bus,
+    ):
+        for number in range(16):
+            bus.send(message(arbitration_id=number))
+
+        def send_too_many() -> None:
+            for _ in range(1000):
+                bus.send(message(arbitration_id=16), timeout=0)
+
+        with pytest.raises(can.CanTimeoutError, match="the bus can have sent no more"):
+            send_too_many()
+        until(lambda: device.report().frames_received >= 16)
 
 
 def test_the_state_of_an_adapter_that_is_not_configured_stays(

@@ -17,17 +17,21 @@ from serial.tools.list_ports_common import ListPortInfo
 
 import canser
 import canser.commands._sending
+from canser.commands._sending import Sender
 from canser.commands.cli import main
 from canser.files.candump import Writer
+from canser.live.pacing import Pacer
 from canser.recording.header import RecordingInfo
 from canser.recording.writer import RecordingWriter
+from canser.simulation.faults import Faults
+from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import vehicle
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
 
 if sys.platform != "win32":
     from beside import fails, running
-    from device import Device
+    from device import Device, until
 
 GOOD, BAD_DATA, BAD_CALL = 0, 1, 2
 
@@ -53,13 +57,91 @@ def test_send_what_the_call_names(tmp_path: Path, device: "Device") -> None:
 
 
 def test_send_configures_first(tmp_path: Path, device: "Device") -> None:
+    asked = canser.protocol("seeed").status_request
+    config = canser.adapters.configuration("seeed", canser.AdapterConfig(bitrate=250_000))
+    decoder, packets = canser.Decoder("seeed"), []
+    frames = canser.frames([])
+    with running(tmp_path, *call("send", "--bitrate", "250000", "123#01")) as run:
+        while not len(frames):
+            frames = decoder.feed(device.read_some())
+            for control in decoder.take_controls():
+                packets.append(control.data)
+                if control.data == asked:
+                    device.feed(asked)
+        assert run.end() == GOOD
+    assert packets[:2] == [config, asked]
+    assert set(packets) == {config, asked}
+    assert canser.encode(frames, "seeed") == canser.encode(canser.frames(["123#01"]), "seeed")
+    assert decoder.stats.bytes_skipped == 0
+    assert run.err == ["1 frame sent to dev"]
+
+
+def test_play_begins_when_the_adapter_listens(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Otherwise its first frames would all be late."""
+    frames = vehicle(0.2)
+    write_log(tmp_path / "run.log", frames)
+    link = str(tmp_path / "can")
+    listened: list[bool] = []
+    wait = Sender.wait_listening
+
+    def watched(sender: Sender) -> None:
+        assert not listened
+        wait(sender)
+        listened.append(sender._port._setup.listening)
+
+    monkeypatch.setattr(Sender, "wait_listening", watched)
+    with Simulator("seeed", faults=Faults(deaf=0.5, swallow=True), link=link) as adapter:
+        call = ["play", str(tmp_path / "run.log"), "-c", link, "-p", "seeed"]
+        assert main([*call, "--bitrate", "500000"]) == GOOD
+        until(lambda: adapter.report().frames_received == len(frames))
+    assert listened == [True]
+    assert capfd.readouterr().err.startswith(f"{len(frames):,} frames sent to {link}\n")
+
+
+@pytest.mark.parametrize("pace", [True, False])
+@pytest.mark.parametrize("name", ["play", "send"])
+def test_the_bus_sets_the_pace_unless_told_otherwise(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    name: str,
+    pace: bool,
+) -> None:
+    frames = vehicle(0.1)
+    frames["ts"] = canser.NO_TIME
+    (tmp_path / "run.bin").write_bytes(canser.encode(frames, "seeed"))
+    link = str(tmp_path / "can")
+    what = [str(tmp_path / "run.bin"), "--as-is"] if name == "play" else ["123#01"] * len(frames)
+    paced: list[int] = []
+    take = Pacer.take
+
+    def counted(pacer: Pacer, seconds: list[float], deadline: float | None) -> int:
+        paced.append(take(pacer, seconds, deadline))
+        return paced[-1]
+
+    monkeypatch.setattr(Pacer, "take", counted)
+    with Simulator("seeed", link=link) as adapter:
+        options = ["-c", link, "-p", "seeed", "--bitrate", "500000"]
+        assert main([name, *options, *([] if pace else ["--no-pace"]), *what]) == GOOD
+        until(lambda: adapter.report().frames_received == len(frames))
+    assert sum(paced) == (len(frames) if pace else 0)
+    said = capfd.readouterr().err
+    if name == "play":
+        assert f"sent as fast as {'the bus carries' if pace else 'the line took'} them" in said
+
+
+def test_send_to_an_adapter_that_does_not_answer(tmp_path: Path, device: "Device") -> None:
+    raw = canser.encode(canser.frames(["123#01"]), "seeed")
     with running(tmp_path, *call("send", "--bitrate", "250000", "123#01")) as run:
         assert run.end() == GOOD
-    sent = device.read(26)
-    said = canser.adapters.report("seeed", sent[:20])
-    assert (said.kind, said.bitrate) == ("configuration", 250_000)
-    assert sent[20:] == canser.encode(canser.frames(["123#01"]), "seeed")
-    assert run.err == ["1 frame sent to dev"]
+    sent = device.read(20)
+    while not sent.endswith(raw):
+        sent += device.read(1)
+    (warning, done) = run.err
+    assert warning.startswith("dev did not answer its status request within 2 s; ")
+    assert done == "1 frame sent to dev"
 
 
 def test_send_in_a_format_with_times(tmp_path: Path, device: "Device") -> None:

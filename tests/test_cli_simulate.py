@@ -1,5 +1,6 @@
 """`canser simulate` as its users run it: another process opens what it names."""
 
+import contextlib
 import json
 import os
 import select
@@ -10,7 +11,6 @@ import threading
 import time
 from argparse import Namespace
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -51,7 +51,7 @@ def arguments(*more: str) -> list[str]:
     return [sys.executable, "-m", "canser", "simulate", *more]
 
 
-@contextmanager
+@contextlib.contextmanager
 def simulate(folder: Path, *more: str) -> Iterator[Command]:
     with subprocess.Popen(
         arguments(*more), cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -382,6 +382,39 @@ def test_what_the_host_sends_is_told(tmp_path: Path) -> None:
     )
 
 
+def test_one_that_needs_time_tells_what_it_ignored(tmp_path: Path) -> None:
+    config = canser.adapters.configuration("seeed", canser.AdapterConfig(bitrate=500_000))
+    asked = canser.protocol("seeed").status_request
+    options = ("--deaf", "300ms", "--swallow", "--report", "-")
+    decoder = canser.Decoder("seeed")
+    with simulate(tmp_path, "-p", "seeed", *options) as command:
+        fd = os.open(command.url, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        waiting = select.poll()
+        waiting.register(fd, select.POLLIN)
+        try:
+            os.write(fd, config)
+            sent = len(config)
+            while not decoder.stats.controls:
+                sent += os.write(fd, asked)
+                waiting.poll(20)
+                with contextlib.suppress(BlockingIOError):
+                    decoder.feed(os.read(fd, 4096))
+            sent += os.write(fd, config + asked)  # the request is swallowed
+            code, said, out = command.end(signal.SIGINT)
+        finally:
+            os.close(fd)
+    assert code == GOOD
+    report = json.loads(out)
+    assert report["bytes_ignored"] > len(config)
+    assert report["bytes_ignored"] + report["bytes_received"] == sent
+    assert report["packets_swallowed"] == 1
+    assert report["controls"]["configuration"] == 1
+    assert (
+        f"from the host, and ignored: {report['bytes_ignored']:,} bytes while deaf, "
+        "packets behind a configuration 1"
+    ) in said
+
+
 ERRORS = {
     "no protocol": ([], BAD_CALL, "-p/--protocol"),
     "unknown protocol": (["-p", "x"], BAD_CALL, "cantalope, seeed, serial"),
@@ -392,6 +425,7 @@ ERRORS = {
     "baudrate": (["-p", "seeed", "--baudrate", "0"], BAD_CALL, "0 must be 1 or more"),
     "stall": (["-p", "seeed", "--stall", "5"], BAD_CALL, "'5' is no stall"),
     "negative stall": (["-p", "seeed", "--stall", "5:-1"], BAD_CALL, "'5:-1' is no stall"),
+    "no time": (["-p", "seeed", "--deaf", "long"], BAD_CALL, "cannot read the time 'long'"),
     "no file": (["-p", "seeed", "--traffic", "no.log"], BAD_CALL, "no.log: No such file"),
     "no frame": (["-p", "seeed", "--traffic", "empty.bin"], BAD_DATA, "no frame in empty.bin"),
     "bad file": (["-p", "seeed", "--traffic", "bad.log"], BAD_DATA, "bad.log"),

@@ -23,7 +23,16 @@ import canser
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser.simulation.traffic import line_noise, vehicle
 from device import PATIENCE, Device, descriptors, until
-from readers import Background, being_read, collect, content, plugged, traffic, waiting
+from readers import (
+    Background,
+    being_read,
+    collect,
+    content,
+    plugged,
+    read_config,
+    traffic,
+    waiting,
+)
 from reference import Frame
 from samples import array
 
@@ -300,13 +309,13 @@ def test_a_device_that_comes_back_is_configured_again(tmp_path: Path) -> None:
     first = canser.adapters.configuration("seeed", canser.AdapterConfig(bitrate=250_000))
     second = canser.adapters.configuration("seeed", canser.AdapterConfig(bitrate=125_000))
     with replugged(tmp_path, bitrate=250_000) as (device, port, replug):
-        assert device.read(20) == first
+        assert read_config(device) == first
         new = replug()
-        assert new.read(20) == first
+        assert read_config(new) == first
         until(lambda: port._reader._line is not None)
         port.configure(bitrate=125_000)
-        assert new.read(20) == second
-        assert replug().read(20) == second
+        assert read_config(new) == second
+        assert read_config(replug()) == second
 
 
 def test_a_port_may_be_closed_while_its_device_is_away() -> None:

@@ -34,6 +34,7 @@ from readers import (
     content,
     frames_of,
     plugged,
+    read_config,
     traffic,
     waiting,
 )
@@ -595,14 +596,14 @@ def test_an_adapter_is_configured() -> None:
     silent = AdapterConfig(bitrate=250_000, mode="silent")
     once = AdapterConfig(bitrate=500_000, once=True)
     with plugged(config=silent) as (device, port):
-        assert device.read(20) == canser.adapters.configuration("seeed", silent)
+        assert read_config(device) == canser.adapters.configuration("seeed", silent)
         assert port.bitrate == 250_000
         port.configure(once)
-        assert device.read(20) == canser.adapters.configuration("seeed", once)
+        assert read_config(device) == canser.adapters.configuration("seeed", once)
         assert port.bitrate == 500_000
         port.configure(bitrate=250_000)
         plain = AdapterConfig(bitrate=250_000)
-        assert device.read(20) == canser.adapters.configuration("seeed", plain)
+        assert read_config(device) == canser.adapters.configuration("seeed", plain)
         assert port.bitrate == 250_000
         with pytest.raises(ValueError, match="bitrate is missing; give bitrate or config"):
             port.configure()
@@ -613,7 +614,7 @@ def test_an_adapter_is_configured() -> None:
 def test_a_bitrate_configures_an_adapter_as_a_config_of_it() -> None:
     with plugged(bitrate=250_000) as (device, port):
         plain = AdapterConfig(bitrate=250_000)
-        assert device.read(20) == canser.adapters.configuration("seeed", plain)
+        assert read_config(device) == canser.adapters.configuration("seeed", plain)
         assert port.bitrate == 250_000
 
 

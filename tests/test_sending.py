@@ -38,7 +38,8 @@ class Line:
         self.life -= 1
         self.sent = min(self.sent + self.rate, self.taken)
 
-    def send(self, frames: FrameArray, *, timeout: float) -> int:
+    def send(self, frames: FrameArray, *, timeout: float, pace: bool) -> int:
+        assert pace
         if self.life <= 0:
             raise SendError("dead", 0, "the device is gone")
         self._pass(0)

@@ -435,15 +435,79 @@ def test_ping_and_status_come_straight_back_between_two_frames(protocol: str) ->
     check(report)
 
 
-def test_a_deaf_one_counts_and_says_nothing() -> None:
+def test_a_mute_one_counts_and_says_nothing() -> None:
     ping = canser.protocol("cantalope").ping
-    with Simulator("cantalope", faults=Faults(deaf=True)) as device, host(device) as one:
+    with Simulator("cantalope", faults=Faults(mute=True)) as device, host(device) as one:
         one.write(ping)
         until(lambda: device.report().controls == {"ping": 1})
-        device.deaf = False
+        device.mute = False
         one.write(ping)
         assert one.read(len(ping)) == ping
         assert device.report().bytes_answered == len(ping)
+
+
+def until_taken(device: Simulator, count: int) -> None:
+    """Wait until so many bytes of the host have been heard, or ignored."""
+
+    def taken() -> bool:
+        report = device.report()
+        return report.bytes_ignored + report.bytes_received == count
+
+    until(taken)
+
+
+def test_a_deaf_one_ignores_what_it_is_sent_and_counts_it() -> None:
+    asked = canser.protocol("seeed").status_request
+    with Simulator("seeed", faults=Faults(deaf=0.3)) as device:
+        sent = 0
+        for round_number in range(1, 3):  # a host, and another one
+            begin = time.monotonic()
+            with host(device) as one:
+                one.write(asked)
+                sent += len(asked)
+                until_taken(device, sent)
+                while not one.readable(0.01):
+                    one.write(asked)
+                    sent += len(asked)
+                assert time.monotonic() - begin >= 0.3
+                until_taken(device, sent)
+                one.take()
+            until(lambda: not device.connected)
+            report = device.report()
+            assert report.bytes_ignored >= round_number * len(asked)
+        assert report.bytes_received == 20 * report.controls["status"] == report.bytes_answered
+
+
+def test_one_that_was_plugged_in_again_is_deaf_again() -> None:
+    asked = canser.protocol("seeed").status_request
+    with Simulator("seeed", faults=Faults(deaf=0.3)) as device:
+        device.unplug()
+        begin = time.monotonic()
+        device.replug()
+        with host(device) as one:
+            while not one.readable(0.01):
+                one.write(asked)
+            assert time.monotonic() - begin >= 0.3
+
+
+@pytest.mark.parametrize("asks", [False, True])
+def test_the_packet_behind_a_configuration_is_swallowed(asks: bool) -> None:
+    """A frame or a request; and so it is behind the next configuration."""
+    asked = canser.protocol("seeed").status_request
+    frames = array(Frame(1), Frame(2), Frame(3))
+    packets = asked * 3 if asks else canser.encode(frames, "seeed")
+    with Simulator("seeed", faults=Faults(swallow=True)) as device, host(device) as one:
+        one.write(packets)
+        one.write(configuration() + packets)
+        one.write(configuration(bitrate=250_000) + packets)
+        until(lambda: device.report().bytes_received == 40 + 3 * len(packets))
+        report = device.report()
+        assert report.packets_swallowed == 2
+        assert report.controls == ({"configuration": 2} | ({"status": 7} if asks else {}))
+        assert report.frames_received == (0 if asks else 7)
+        assert device.received["id"].tolist() == ([] if asks else [1, 2, 3, 2, 3, 2, 3])
+        assert report.configuration is not None
+        assert report.configuration.bitrate == 250_000
 
 
 def test_a_configuration_is_taken() -> None:

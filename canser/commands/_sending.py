@@ -1,5 +1,6 @@
 """Frames to a port, and how many of them the line has sent for sure."""
 
+import argparse
 import time
 from collections import deque
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from canser.commands._parser import DataError
 from canser.errors import PortError, SendError, SendTimeoutError
 from canser.live.ports import Port
 
-__all__ = ["Sender"]
+__all__ = ["Sender", "pace_argument"]
 
 # A line that takes or sends nothing for so long, in seconds, does not work.
 _PATIENCE_S: Final = 10.0
@@ -22,27 +23,52 @@ _PATIENCE_S: Final = 10.0
 _LOOK_S: Final = 0.1
 
 
+def pace_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the argument that switches the pacing off."""
+    parser.add_argument(
+        "--no-pace",
+        dest="pace",
+        action="store_false",
+        help="send as fast as the line takes frames (default, where --bitrate sets the adapter: at "
+        "most 16 frames ahead of what the bus carries; an adapter throws away what it has no "
+        "room for)",
+    )
+
+
 class Sender:
     """Send frames to a port. DataError, with the counts, where the line does not send them.
 
-    `wanted`: asked ten times a second whether to go on. `sent`: frames that the line has sent
-    for sure. Frames that the system holds are not among them; a pseudo terminal does not tell
-    what it holds, and all that it has taken counts as sent.
+    `wanted`: asked ten times a second whether to go on. `pace`: as for `Port.send`. `sent`:
+    frames that the line has sent for sure. Frames that the system holds are not among them; a
+    pseudo terminal does not tell what it holds, and all that it has taken counts as sent.
     """
 
-    def __init__(self, port: Port, wanted: Callable[[], bool] = lambda: True) -> None:
-        self._port, self._wanted = port, wanted
+    def __init__(
+        self, port: Port, wanted: Callable[[], bool] = lambda: True, *, pace: bool = True
+    ) -> None:
+        self._port, self._wanted, self._pace = port, wanted, pace
         self.sent = 0
         # What the line has taken behind these frames, and how much of it is not known to be sent.
         self._held: deque[tuple[int, bytes]] = deque()
         self._held_len = self._unsent_len = 0
+
+    def wait_listening(self) -> None:
+        """Wait until the adapter listens, or the wish to end."""
+        while self._wanted():
+            try:
+                self._port.send([], timeout=_LOOK_S)
+            except SendTimeoutError:
+                continue
+            except PortError:
+                pass  # the first frame will tell
+            return
 
     def send(self, frames: FrameArray) -> None:
         """Send frames; return when the line has taken them, or they are not wanted any more."""
         moved_at = time.monotonic()
         while len(frames) and self._wanted():
             try:
-                count = self._port.send(frames, timeout=_LOOK_S)
+                count = self._port.send(frames, timeout=_LOOK_S, pace=self._pace)
             except SendTimeoutError as error:
                 count = error.sent
             except SendError as error:

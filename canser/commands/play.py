@@ -11,7 +11,8 @@ from canser.codec.refusals import Refusals
 from canser.commands._numbers import real
 from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, write_line
 from canser.commands._port import open_port, port_arguments
-from canser.commands._sending import Sender
+from canser.commands._screen import warnings_as_lines
+from canser.commands._sending import Sender, pace_argument
 from canser.commands._source import FORMATS, as_is_argument, bus_argument, format_name, read_options
 from canser.commands._traffic import TrafficFile
 from canser.errors import CanserError
@@ -61,6 +62,7 @@ def add(commands: Commands) -> None:
         type=real(most=_GAP_MOST_MS),
         help="milliseconds between two frames, instead of their recorded times",
     )
+    pace_argument(parser)
     bus_argument(parser)
     parser.add_argument(
         "--sort", action="store_true", help="order all frames by their time, in memory"
@@ -91,8 +93,9 @@ def run(args: argparse.Namespace) -> int:
         if file:
             source.check()
         first = pipe or _open(args)
-        with first, open_port(args) as port:
-            sender = Sender(port, wanted=lambda: not stop)
+        with first, warnings_as_lines(write_line), open_port(args) as port:
+            sender = Sender(port, wanted=lambda: not stop, pace=args.pace)
+            sender.wait_listening()  # the times of the frames begin behind that
             try:
                 played = play(
                     source.rounds(first),
@@ -105,7 +108,8 @@ def run(args: argparse.Namespace) -> int:
             finally:
                 source.tell_left_out()
     if sender.sent or stop:
-        _tell(args, played, sender.sent)
+        paced = args.pace and port.bitrate is not None
+        _tell(args, played, sender.sent, "the bus carries" if paced else "the line took")
     source.finish()
     return GOOD
 
@@ -213,11 +217,11 @@ def _open(args: argparse.Namespace) -> TrafficFile:
     )
 
 
-def _tell(args: argparse.Namespace, played: Played, sent: int) -> None:
+def _tell(args: argparse.Namespace, played: Played, sent: int, pace: str) -> None:
     rounds = f" in {played.rounds:,} rounds" if args.loop else ""
     write_line(f"{sent:,} frames sent to {args.channel}{rounds}")
     if played.untimed == played.frames and args.gap is None:
-        write_line("they have no times: sent as fast as the line took them; --gap MS spaces them")
+        write_line(f"they have no times: sent as fast as {pace} them; --gap MS spaces them")
         return
     late = played.lateness
     write_line(

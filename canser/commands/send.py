@@ -7,7 +7,8 @@ from canser._items import frames as make_frames
 from canser.codec.decoder import encode
 from canser.commands._parser import GOOD, CallError, Commands, add_command, write_line
 from canser.commands._port import open_port, port_arguments
-from canser.commands._sending import Sender
+from canser.commands._screen import warnings_as_lines
+from canser.commands._sending import Sender, pace_argument
 
 __all__ = ["add"]
 
@@ -30,6 +31,7 @@ def add(commands: Commands) -> None:
         help="as candump writes them: ID#DATA in hexadecimal, eight digits for an extended "
         "id; ID#R, ID#R8 for remote frames",
     )
+    pace_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -41,8 +43,8 @@ def run(args: argparse.Namespace) -> int:
         encode(timed, args.protocol)
     except ValueError as error:
         raise CallError(str(error)) from None
-    with open_port(args) as port:
-        sender = Sender(port)
+    with warnings_as_lines(write_line), open_port(args) as port:
+        sender = Sender(port, pace=args.pace)
         sender.send(frames)
         sender.drain()
     count = sender.sent

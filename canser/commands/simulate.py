@@ -18,7 +18,7 @@ from canser._protocols import TS_UNITS, protocols
 from canser._signals import Stop, stop_on_signals
 from canser.codec.decoder import encode
 from canser.codec.refusals import Refusals
-from canser.commands._numbers import real, whole
+from canser.commands._numbers import duration, real, whole
 from canser.commands._parser import (
     BAD_DATA,
     GOOD,
@@ -64,7 +64,8 @@ def add(commands: Commands) -> None:
         "  canser simulate -p seeed                      prints its name, sends for ever\n"
         "  canser simulate -p serial --traffic run.log --link /tmp/can\n"
         "  canser simulate -p seeed --seconds 60 --pace max --copy sent.bin\n"
-        "  canser simulate -p cantalope --noise 0.001 --stall 100000:2 --report sent.json",
+        "  canser simulate -p cantalope --noise 0.001 --stall 100000:2 --report sent.json\n"
+        "  canser simulate -p seeed --deaf 0.7s --swallow   needs time, as a real analyzer does",
         run=run,
     )
     parser.add_argument(
@@ -130,6 +131,19 @@ def add(commands: Commands) -> None:
         help="fall silent after AT bytes for S seconds; several: each",
     )
     parser.add_argument(
+        "--deaf",
+        type=duration,
+        default=0.0,
+        metavar="TIME",
+        help="ignore all that the host sends for that time after it has opened the terminal, as "
+        "real analyzers do: 0.7s",
+    )
+    parser.add_argument(
+        "--swallow",
+        action="store_true",
+        help="ignore the first packet behind each configuration, as real analyzers do",
+    )
+    parser.add_argument(
         "--seed", type=whole(), default=1, metavar="N", help="of the faults (default: 1)"
     )
     parser.add_argument(
@@ -162,7 +176,14 @@ def run(args: argparse.Namespace) -> int:
         if args.report is not None and args.report != "-":
             target = files.enter_context(whole_file(args.report, force=args.force))
         traffic, loop = _traffic(args)
-        faults = Faults(noise=args.noise, loss=args.loss, stalls=args.stalls, seed=args.seed)
+        faults = Faults(
+            noise=args.noise,
+            loss=args.loss,
+            stalls=args.stalls,
+            deaf=args.deaf,
+            swallow=args.swallow,
+            seed=args.seed,
+        )
         if args.baudrate is not None and args.pace in {"traffic", "max"}:
             raise CallError(f"--baudrate is of --pace line, not {args.pace}: leave one of them out")
         with (
@@ -338,6 +359,11 @@ def _summary(report: SimulatorReport) -> Iterator[str]:
         yield (
             f"from the host: frames {report.frames_received:,}{kinds}, "
             f"bytes skipped {report.bytes_skipped:,}; sent back: {report.bytes_answered:,} bytes"
+        )
+    if report.bytes_ignored or report.packets_swallowed:
+        yield (
+            f"from the host, and ignored: {report.bytes_ignored:,} bytes while deaf, "
+            f"packets behind a configuration {report.packets_swallowed:,}"
         )
     if report.bytes_unread:
         yield f"not read by the host: {report.bytes_unread:,} of the bytes sent"

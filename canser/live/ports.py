@@ -25,13 +25,21 @@ from canser._items import FrameItems
 from canser._items import frames as make_frames
 from canser.adapters import AdapterConfig, AdapterReport
 from canser.codec.decoder import Control, Decoder, Stats, decode, encode
-from canser.errors import PortClosedError, PortError, SendError, SendTimeoutError
+from canser.errors import (
+    PortClosedError,
+    PortError,
+    SendError,
+    SendTimeoutError,
+)
 from canser.live.config import LineConfig, adapter_config
 from canser.live.line import Line, open_line
+from canser.live.meter import longest_bits
+from canser.live.pacing import AHEAD_FRAMES, Pacer
 from canser.live.reader import NO_MORE, LineReader
 from canser.live.recorder import OnEvent, Recorder
 from canser.live.recording import RecordConfig, RecordingJob, RecordOptions
 from canser.live.ring import Gap, Ring
+from canser.live.setup import Setup
 from canser.live.stream import LiveStream, OnBytes, Watchdog
 from canser.recording.header import RecordingInfo
 from canser.timing.clocks import ClockEstimate
@@ -45,11 +53,18 @@ _T = TypeVar("_T")
 # Bits of a byte on the line, with its start and stop bit.
 _BYTE_BITS: Final = 10
 
-# The pause after a configuration that the adapter's document asks for.
+# The pause after a configuration where the adapter cannot be asked whether it listens.
 _SETTLE_S: Final = 0.1
 
 # Frames that a call which waits for a status decodes at once, for later reads.
 _AHEAD: Final = 4096
+
+# A send looks this often whether the adapter listens.
+_LOOK_S: Final = 0.005
+
+_DEAF: Final = "the adapter did not say within the time-out that it listens"
+_BUSY: Final = "the bus can have sent no more within the time-out"
+
 
 # A call that waits for a status reads for this time, and then lets other threads read.
 _TURN_S: Final = 0.02
@@ -77,7 +92,10 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
     protocol : str
         What the adapter speaks: a name of `canser.protocols()` or an accepted spelling.
     bitrate : int, optional
-        Of the CAN bus in bit/s. The adapter is configured to it when it is opened.
+        Of the CAN bus in bit/s. The adapter is configured to it when it is opened, and again
+        when it comes back. Adapters that know a status request are asked for their status until
+        they answer: they need some time before they listen. Only `Port.send` and
+        `Port.request_status` wait for that, and a CanserWarning tells where no answer comes.
     config : AdapterConfig, optional
         The whole configuration of the adapter, instead of `bitrate`. Without both of them the
         adapter is left as it is.
@@ -167,6 +185,7 @@ class Port(Uncopied):
         self._closed, self._pid = True, os.getpid()  # until it is open
         self.url, self.decoder, self.protocol = url, decoder, decoder.protocol
         config_packet = b"" if config is None else adapters.configuration(self.protocol, config)
+        self._setup = Setup(self.protocol, config_packet)
         self.bitrate = None if config is None else config.bitrate
         assert line.baudrate is not None  # `open` has set it
         self.baudrate = line.baudrate
@@ -181,15 +200,16 @@ class Port(Uncopied):
             raise ValueError(
                 f"ring_size is {line.ring_size}; it must be bytes that the system has memory for"
             ) from None
+        self._pacer = Pacer()
         self._reading = threading.RLock()
         self._held = False  # what `hold_ready` was told
         # Nothing in the thread may hold the port: it would never be collected.
-        self._connect = _Connect(url, line, config_packet)
         self._reader = LineReader(
             url,
-            self._connect,
+            _Connect(url, line, self._setup),
             self._ring,
             self._clock,
+            self._setup,
             byte_s=_BYTE_BITS / self.baudrate,
             reconnect=reconnect,
             heartbeat=row.ping if line.ping is not None else b"",
@@ -442,21 +462,24 @@ class Port(Uncopied):
 
     # Writing
 
-    def send(self, frames: FrameItems, *, timeout: float | None = None) -> int:
-        """Send frames, as fast as the line takes them; return how many, all of them.
+    def send(self, frames: FrameItems, *, timeout: float | None = None, pace: bool = True) -> int:
+        """Send frames, as fast as the line and the bus take them; return how many, all of them.
 
         `frames`: an array of FRAME_DTYPE, shape (n,), contiguous; or what `canser.frames` makes
         one of, such as "123#DEADBEEF". A time that is not known goes out as the time since the
-        port was opened. Returns when the system has taken the last byte. `timeout`: seconds
-        for the whole.
+        port was opened. Waits until an adapter that was configured listens; for that alone give
+        no frames, []. Returns when the system has taken the last byte. `timeout`: seconds for the
+        whole. `pace`: where the bit rate of the bus is known, at most 16 frames go out that the
+        bus cannot have sent yet, each taken to be as long as stuff bits can make it. An adapter
+        throws away what it has no room for. `pace=False` sends as fast as the line takes frames.
 
         ValueError for a frame that the format cannot carry: nothing is sent then.
-        SendTimeoutError when the line takes no more in time, SendError when it is gone:
-        `sent` tells how many frames went out. One that is cut by the time-out counts as
-        sent: its rest goes out before anything else.
+        SendTimeoutError when the adapter does not listen, or the line or the bus takes no more
+        in time, SendError when the line is gone: `sent` tells how many frames went out. One that
+        is cut by the time-out counts as sent: its rest goes out before anything else.
         """
         self._check_open()
-        timeout = check_timeout(timeout)
+        deadline, pace = _deadline(timeout), flag(pace, "pace")
         if not isinstance(frames, np.ndarray):
             frames = make_frames(frames)
         input_frames(frames)  # before its times are asked for
@@ -466,22 +489,22 @@ class Port(Uncopied):
                 frames = copy_records(frames)
                 frames["ts"][unknown] = self._clock() - self._opened_ns
         raw = encode(frames, self.protocol, ts_unit=self._ts_unit)
-
-        def missing(written: int) -> int:
-            ends = self._ends(raw)
-            return int(ends[np.searchsorted(ends, written)]) - written
-
-        written, why = self._reader.write(raw, timeout, missing)
+        listens = self._wait_listening(deadline)
+        self._stream.tell_silence(4)
+        written, why = 0, _DEAF
+        if listens:
+            written, why = self._write_frames(frames, raw, deadline, pace=pace)
         if not why:
             return len(frames)
         whole = int(np.searchsorted(self._ends(raw), written, side="right"))
-        kind = SendTimeoutError if why == NO_MORE else SendError
+        kind = SendTimeoutError if why in (NO_MORE, _DEAF, _BUSY) else SendError
         raise kind(f"{self.url}: {why}; {whole} of {len(frames)} frames were sent", whole, why)
 
     def send_raw(self, data: BytesLike, *, timeout: float | None = None) -> None:
         """Send bytes as they are, such as a command that canser does not know.
 
-        SendError (SendTimeoutError), whose `sent` is 0, when not all could be sent.
+        Does not wait until an adapter listens. SendError (SendTimeoutError), whose `sent` is 0,
+        when not all could be sent.
         """
         self._check_open()
         timeout = check_timeout(timeout)
@@ -526,7 +549,10 @@ class Port(Uncopied):
     # The adapter's own commands
 
     def configure(self, config: AdapterConfig | None = None, *, bitrate: int | None = None) -> None:
-        """Configure the adapter, as `canser.open` does. Takes 0.1 s.
+        """Configure the adapter, as `canser.open` does.
+
+        Returns when the configuration is written. Adapters that know a status request are then
+        asked for their status until they answer, for which `send` waits.
 
         Parameters
         ----------
@@ -547,30 +573,47 @@ class Port(Uncopied):
         config = adapter_config(bitrate, config)
         if config is None:
             raise ValueError("bitrate is missing; give bitrate or config")
-        packet = adapters.configuration(self.protocol, config)
-        self.send_raw(packet)
-        self._connect.config_packet, self.bitrate = packet, config.bitrate
-        time.sleep(_SETTLE_S)
+        before = self._setup.config_packet
+        # Set first: otherwise the reader's thread could write the one before behind it.
+        self._setup.config_packet = adapters.configuration(self.protocol, config)
+        try:
+            self.send_raw(self._setup.config_packet)
+        except BaseException:
+            self._setup.config_packet = before
+            raise
+        self.bitrate = config.bitrate
+        if self._setup.asks:
+            self._setup.start()
+            self._reader.wake()
+        else:
+            time.sleep(_SETTLE_S)
 
     def request_status(self, *, timeout: float | None = 1.0) -> AdapterReport:
         """Ask the adapter for its status, and return the answer.
 
-        Frames that come meanwhile are returned by the next reads. ValueError where the
-        protocol knows no status; PortError when no answer comes.
+        Waits until an adapter that was configured listens. Frames that come meanwhile are
+        returned by the next reads. ValueError where the protocol knows no status; PortError when
+        no answer comes.
         """
         request = find_protocol(self.protocol).status_request
         if not request:
             raise ValueError(f"{self.protocol} adapters know no status request")
         deadline = _deadline(timeout)
+        self._check_open()
+        no_answer = PortError(
+            f"{self.url} did not answer the status request within {timeout or 0:g} s; "
+            "is it this kind of adapter?"
+        )
+        if not self._wait_listening(deadline):
+            raise no_answer
+        self._stream.tell_silence(4)
+        self._setup.end()
         self._stream.status = None
-        self.send_raw(request, timeout=timeout)
+        self.send_raw(request, timeout=_left(deadline))
         while (status := self._stream.status) is None:
             self._check_open()
             if deadline is not None and time.monotonic() >= deadline:
-                raise PortError(
-                    f"{self.url} did not answer the status request within {timeout:g} s; "
-                    "is it this kind of adapter?"
-                )
+                raise no_answer
             # Another thread that reads finds the answer, too.
             if self._take_turn(_sooner(deadline, _TURN_S)):
                 try:
@@ -607,7 +650,11 @@ class Port(Uncopied):
         on_bytes: OnBytes | None = None,
     ) -> LiveStream:
         loop = TimedDecoder(decoder, _BYTE_BITS * 1e9 / self.baudrate, device_time=device_time)
-        return LiveStream(self.url, ring, loop, on_bytes=on_bytes, watchdog=self._watchdog)
+        # The answers to what set the adapter up are known by their places in the port's own ring.
+        setup = self._setup if ring is self._ring else None
+        return LiveStream(
+            self.url, ring, loop, on_bytes=on_bytes, watchdog=self._watchdog, setup=setup
+        )
 
     def _check_open(self) -> None:
         if self._closed:
@@ -618,10 +665,46 @@ class Port(Uncopied):
                 "open it in the process that uses it"
             )
 
+    def _wait_listening(self, deadline: float | None) -> bool:
+        """Wait until the adapter listens, or there is no line; False after the deadline."""
+        while not self._setup.listening and self._reader.running:
+            left = _left(deadline)
+            if left == 0:
+                return False
+            time.sleep(_LOOK_S if left is None else min(left, _LOOK_S))
+        return True
+
     def _take_turn(self, deadline: float | None) -> bool:
         """Become the thread that reads; False after the deadline."""
         left = -1.0 if deadline is None else max(deadline - time.monotonic(), 0)
         return self._reading.acquire(timeout=left)
+
+    def _write_frames(
+        self, frames: FrameArray, raw: bytes, deadline: float | None, *, pace: bool
+    ) -> tuple[int, str]:
+        """Write encoded frames; return how many bytes went out or will, and why not all did."""
+        written, sent, why = 0, 0, ""
+
+        def missing(count: int) -> int:
+            at = written + count
+            ends = self._ends(raw)
+            return int(ends[np.searchsorted(ends, at)]) - at
+
+        if not pace or self.bitrate is None or not len(frames):
+            return self._reader.write(raw, _left(deadline), missing)
+        ends = None  # where all frames may go out at once, as is mostly so, they are not needed
+        while sent < len(frames) and not why:
+            bits = longest_bits(frames[sent : sent + AHEAD_FRAMES])
+            count = self._pacer.take([each / self.bitrate for each in bits], deadline)
+            if not count:
+                return written, _BUSY
+            sent += count
+            if sent < len(frames) and ends is None:
+                ends = self._ends(raw)
+            part = raw[written:] if ends is None else raw[written : ends[sent - 1]]
+            more, why = self._reader.write(part, _left(deadline), missing)
+            written += more
+        return written, why
 
     def _ends(self, raw: bytes) -> npt.NDArray[np.int64]:
         """Return where each of the packets ends that `encode` gave."""
@@ -631,14 +714,14 @@ class Port(Uncopied):
 
 
 class _Connect:
-    """Open the line, and configure the adapter by `config_packet`; b"" leaves it as it is."""
+    """Open the line, write the adapter's configuration if there is one, and start its setup."""
 
-    def __init__(self, url: str, line: LineConfig, config_packet: bytes) -> None:
-        self._url, self._line, self.config_packet = url, line, config_packet
+    def __init__(self, url: str, line: LineConfig, setup: Setup) -> None:
+        self._url, self._line, self._setup = url, line, setup
 
     def __call__(self) -> Line:
         line = open_line(self._url, self._line)
-        packet = self.config_packet  # another thread may set the next one
+        packet = self._setup.config_packet  # another thread may set the next one
         rest = memoryview(packet)
         try:
             while rest:
@@ -651,7 +734,8 @@ class _Connect:
         except BaseException:
             line.close()
             raise
-        if packet:
+        self._setup.start()
+        if packet and not self._setup.asks:
             time.sleep(_SETTLE_S)
         return line
 
@@ -660,6 +744,11 @@ def _deadline(timeout: float | None) -> float | None:
     """Return when a time-out is over, by time.monotonic(); None for never."""
     seconds = check_timeout(timeout)
     return None if seconds is None else time.monotonic() + seconds
+
+
+def _left(deadline: float | None) -> float | None:
+    """Return the seconds until a deadline, 0 after it; None for never."""
+    return None if deadline is None else max(deadline - time.monotonic(), 0)
 
 
 def _sooner(deadline: float | None, seconds: float) -> float:

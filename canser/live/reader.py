@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from canser._threads import start_thread
@@ -10,6 +11,7 @@ from canser.errors import CanserError, PortError, PortGoneError
 from canser.live.connecting import connect_aside
 from canser.live.line import Line
 from canser.live.ring import Ring, holds
+from canser.live.setup import Setup
 
 __all__ = ["NO_MORE", "LineReader"]
 
@@ -42,7 +44,8 @@ class LineReader:
     """An open line, and a thread that drains it into a ring as fast as bytes come.
 
     `connect` opens the line of `url` and configures the adapter. It is called here, and again
-    after the line is gone if `reconnect`. `byte_s`: seconds that a byte takes on the line.
+    after the line is gone if `reconnect`. `setup` asks the adapter then whether it listens.
+    `byte_s`: seconds that a byte takes on the line.
     `heartbeat`: bytes that are sent every `heartbeat_s` seconds; b"" for none. `clock` gives
     epoch nanoseconds. Raises what `connect` raises, and PortError where the system starts no more
     threads.
@@ -54,6 +57,7 @@ class LineReader:
         connect: Callable[[], Line],
         ring: Ring,
         clock: Callable[[], int],
+        setup: Setup,
         *,
         byte_s: float,
         reconnect: bool,
@@ -61,6 +65,7 @@ class LineReader:
         heartbeat_s: float,
     ) -> None:
         self._url, self._connect, self._ring, self._clock = url, connect, ring, clock
+        self._setup = setup
         self._byte_s = byte_s
         self._reconnect, self._heartbeat, self._heartbeat_s = reconnect, heartbeat, heartbeat_s
         self.last_heartbeat = 0  # when the last one went out on this line; 0: not yet
@@ -132,6 +137,17 @@ class LineReader:
             for ring in self._more_rings:
                 ring.close(error)
 
+    @property
+    def running(self) -> bool:
+        """Whether there is a line, and the thread reads it."""
+        return self._line is not None and self._thread.is_alive() and not self._closing.is_set()
+
+    def wake(self) -> None:
+        """Have the thread look at once at what `setup` has to do."""
+        with self._line_lock:
+            if self._line is not None:
+                self._line.wake()
+
     def unwritten(self) -> int:
         """Return how many written bytes have not gone out; PortGoneError without a line."""
         with self._line_lock:
@@ -152,9 +168,7 @@ class LineReader:
             or holds(self._rings_lock)
             or self._ring.locked_here
         )
-        with self._line_lock:
-            if self._line is not None:
-                self._line.wake()
+        self.wake()
         if self._thread.is_alive() and must_not_wait:
             return
         self._thread.join()
@@ -217,7 +231,8 @@ class LineReader:
 
     def _drain(self, line: Line) -> None:
         """Read until the line is gone or shall be closed."""
-        ring, clock, closing = self._ring, self._clock, self._closing
+        ring, closing, setup = self._ring, self._closing, self._setup
+        write = partial(self._send_packet, line)
         scratch = memoryview(bytearray(_SCRATCH))
         begin = due = time.monotonic()
         came, rest = 0, _REST_S
@@ -226,20 +241,27 @@ class LineReader:
             if self._heartbeat:
                 now = time.monotonic()
                 if now >= due:
-                    self._send_heartbeat(line)
+                    if write(self._heartbeat):
+                        self.last_heartbeat = self._clock()
                     due = max(due + self._heartbeat_s, now)
                 timeout = max(due - now, 0)
+            if setup.active:
+                pause = setup.step(time.monotonic(), write)
+                timeout = min((each for each in (timeout, pause) if each is not None), default=None)
             room = ring.room()
-            count = line.read_into(scratch if room is None else room, timeout)
+            data = scratch if room is None else room
+            count = line.read_into(data, timeout)
             if not count:
                 continue
-            ns = clock()
+            ns = self._clock()
+            if setup.active:
+                setup.take(data[:count], None if room is None else ring.end)
             if room is None:
-                ring.append(scratch[:count], ns)
+                ring.append(data[:count], ns)
             else:
                 ring.put(count, ns)
             for other in self._more_rings:
-                other.append((scratch if room is None else room)[:count], ns)
+                other.append(data[:count], ns)
             came += count
             if rest and count < _SMALL:
                 time.sleep(rest)
@@ -249,15 +271,18 @@ class LineReader:
                 rest = 0.0 if busy > 1.5 else _REST_BUSY_S if busy > _BUSY else _REST_S
                 begin, came = now, 0
 
-    def _send_heartbeat(self, line: Line) -> None:
-        # Never into the middle of a packet: then the next one will do.
-        if self._writing.acquire(blocking=False):
-            try:
-                if not self._rest and (sent := line.write(memoryview(self._heartbeat), 0)):
-                    self._rest = memoryview(self._heartbeat)[sent:]
-                    self.last_heartbeat = self._clock()
-            finally:
-                self._writing.release()
+    def _send_packet(self, line: Line, packet: bytes) -> bool:
+        """Send a packet; False where the line takes nothing, or another one is going out."""
+        if not self._writing.acquire(blocking=False):
+            return False
+        try:
+            # Never into the middle of another packet.
+            if self._rest or not (sent := line.write(memoryview(packet), 0)):
+                return False
+            self._rest = memoryview(packet)[sent:]
+            return True
+        finally:
+            self._writing.release()
 
     def _come_back(self) -> None:
         """Open the line anew, whenever that is possible."""

@@ -257,6 +257,11 @@ class Ring:
                 os.close(self._signal[1])
                 self._signal = None
 
+    @property
+    def end(self) -> int:
+        """The stream offset behind the newest byte."""
+        return self._end
+
     def __len__(self) -> int:
         return self._end - self._begin
 

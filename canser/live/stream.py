@@ -16,6 +16,7 @@ from canser.codec.decoder import Control
 from canser.codec.doubt import is_doubtful
 from canser.errors import CanserWarning, PortError
 from canser.live.ring import Gap, Read, Ring
+from canser.live.setup import SILENCE_S, Setup
 from canser.timing.loop import TimedDecoder
 
 __all__ = ["LiveStream", "OnBytes", "Watchdog"]
@@ -70,13 +71,14 @@ class LiveStream:
         *,
         on_bytes: OnBytes | None,
         watchdog: Watchdog | None,
+        setup: Setup | None,
     ) -> None:
         self.loop, self.decoder, self.ring = loop, loop.decoder, ring
         self.controls: deque[Control] = deque(maxlen=_KEPT)
         self.gaps: deque[Gap] = deque(maxlen=_KEPT)
         self.status: AdapterReport | None = None  # the last one that came
         self.on_bytes = on_bytes
-        self.url, self._watchdog = url, watchdog
+        self.url, self._watchdog, self._setup = url, watchdog, setup
         row = find_protocol(self.decoder.protocol)
         self._frame_min = row.frame_min
         self._frames = np.empty(_ROOM, FRAME_DTYPE)
@@ -117,6 +119,7 @@ class LiveStream:
         begin, start, had = time.monotonic(), self.decoder.position, self.ready
         while True:
             self._watch()
+            self.tell_silence(5)
             count = self.decode(most)
             if count >= least:
                 return count
@@ -252,6 +255,8 @@ class LiveStream:
 
     def _keep_controls(self) -> None:
         for control in self.decoder.take_controls():
+            if self._setup is not None and self._setup.take_answer(control.offset):
+                continue
             self.controls.append(control)
             report = adapters.report(self.decoder.protocol, control.data)
             if report.kind == "ping":
@@ -306,6 +311,20 @@ class LiveStream:
 
     # Warnings
 
+    def tell_silence(self, stacklevel: int) -> None:
+        """Warn, once, that the adapter did not answer when it was set up.
+
+        `stacklevel`: how far the user's code is from `warnings.warn`.
+        """
+        if self._setup is not None and self._setup.take_silence():
+            self._warn(
+                "silence",
+                f"{self.url} did not answer its status request within {SILENCE_S:g} s; frames "
+                "are sent without an answer, and the first ones may be lost. Is the adapter on, "
+                "and the baud rate right?",
+                stacklevel=stacklevel,
+            )
+
     def _look_at_share(self) -> None:
         position, (bytes_in, skipped) = self.decoder.position, self._looked
         if position - bytes_in < _WRONG_BYTES:
@@ -320,7 +339,7 @@ class LiveStream:
                 "are the baud rate and the protocol right?",
             )
 
-    def _warn(self, kind: str, text: str) -> None:
+    def _warn(self, kind: str, text: str, *, stacklevel: int = 6) -> None:
         """Warn, once of each kind."""
         if kind in self._warned:
             return
@@ -328,4 +347,4 @@ class LiveStream:
         if self.on_warning is not None:
             self.on_warning(text)
         else:
-            warnings.warn(text, CanserWarning, stacklevel=6)
+            warnings.warn(text, CanserWarning, stacklevel=stacklevel)

@@ -253,13 +253,15 @@ class CanserBus(Uncopied, can.BusABC):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a message; returns when the system has taken it.
 
-        `timeout`: seconds to wait for that, None for as long as it takes. Where the format
+        `timeout`: seconds to wait for that, None for as long as it takes. An adapter that was
+        configured just now is waited for until it listens, and where the bit rate is known the
+        bus sets the pace, as for `canser.Port.send`. Where the format
         has a time it is the message's, in ticks of the device's clock; a time of day, that is
         one from 1,000,000,000 seconds on, modulo 2**32 ticks.
 
         ValueError for what the format cannot carry: CAN FD, ids and times out of range,
         data that is not as long as the dlc says, error frames where the format has none.
-        CanTimeoutError if the line does not take it in time, CanOperationError if the
+        CanTimeoutError if it cannot go out in time, CanOperationError if the
         device is gone or the bus is shut down.
         """
         ts = self._ticking(msg.timestamp) if self._clocked else NO_TIME

@@ -23,8 +23,13 @@ class Faults:
         Pairs of a number of bytes sent, and the seconds of silence then.
     unplug_after : int or None
         Bytes after which the adapter unplugs itself, when the host has read them.
-    deaf : bool
+    mute : bool
         Whether the adapter answers no ping and no request for its status.
+    deaf : float
+        Seconds in which the adapter ignores all that it is sent, after a host has opened it and
+        after it was plugged in again. An analyzer needs some 0.7 s.
+    swallow : bool
+        Whether the adapter ignores the first packet behind each configuration.
     seed : int
         The same seed gives the same noise and loss.
 
@@ -35,15 +40,17 @@ class Faults:
 
     Examples
     --------
-    >>> canser.Faults(noise=0.001, stalls=[(5000, 0.3)])
-    Faults(noise=0.001, loss=0, stalls=[(5000, 0.3)], unplug_after=None, deaf=False, seed=1)
+    >>> canser.Faults(noise=0.001, stalls=[(5000, 0.3)]).stalls
+    [(5000, 0.3)]
     """
 
     noise: float = 0
     loss: float = 0
     stalls: Sequence[tuple[int, float]] = ()
     unplug_after: int | None = None
-    deaf: bool = False
+    mute: bool = False
+    deaf: float = 0
+    swallow: bool = False
     seed: int = 1
 
     def __post_init__(self) -> None:
@@ -58,7 +65,10 @@ class Faults:
         cut = self.unplug_after
         if cut is not None and whole(cut, "unplug_after", "1000") < 0:
             raise ValueError(f"unplug_after is {cut}; it is a number of bytes")
-        flag(self.deaf, "deaf")
+        flag(self.mute, "mute")
+        if not 0 <= real(self.deaf, "deaf", "0.7") < math.inf:
+            raise ValueError(f"deaf is {self.deaf}; it is a number of seconds, 0 or more")
+        flag(self.swallow, "swallow")
         whole(self.seed, "seed", "1", least=0)
 
 

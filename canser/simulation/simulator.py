@@ -88,6 +88,8 @@ class SimulatorReport:
     frames_echoed: int  # of these, sent back
     bytes_received: int
     bytes_skipped: int  # of these, inside no packet
+    bytes_ignored: int  # from the host while the adapter was deaf; not among those received
+    packets_swallowed: int  # from the host, each right behind a configuration
     controls: Mapping[str, int]  # packets from the host that are no frames, by their kind
     configuration: AdapterReport | None  # the last one
 
@@ -115,7 +117,7 @@ class Simulator(Uncopied):
     given or the first frames have no time at all; `report` tells which.
 
     It behaves as an adapter does: sends ping and status request straight back (there are no
-    bus errors) between two frames, unless it is `deaf`; takes a configuration, sends only frames
+    bus errors) between two frames, unless it is `mute`; takes a configuration, sends only frames
     that pass its filter, and in a mode of loopback, or with `echo`, sends the host's frames
     back. Frames always have the variable form.
 
@@ -149,7 +151,7 @@ class Simulator(Uncopied):
         self.echo = flag(echo, "echo")
         if not isinstance(faults, Faults):
             raise TypeError(f"faults is {faults!r}; it must be a canser.Faults")
-        self.deaf = faults.deaf
+        self.mute = faults.mute
         self._pace = _pace_asked(pace, baudrate)
         self._baudrate = find_protocol(self.protocol).baudrate
         if baudrate is not None:
@@ -159,6 +161,7 @@ class Simulator(Uncopied):
         self._ts_unit = ts_unit
         self._stalls = collections.deque(sorted(faults.stalls))
         self._unplug_at = faults.unplug_after
+        self._deaf_ns, self._swallows = int(faults.deaf * 1e9), faults.swallow
         self._copy = copy
         self._symlink = Symlink(text(link, "link", "'/tmp/can'"))
         self._link_path = link
@@ -178,6 +181,8 @@ class Simulator(Uncopied):
         self._sending = False  # the time since then counts
         self._settled_ns = 0  # when a host that has opened it is taken to be ready
         self._stalled_until_ns = 0
+        self._deaf_until_ns = 0
+        self._swallowing = False  # the next packet of the host is ignored
         self._left = False  # bytes lie in the terminal that the last host did not read
         self._full = False
         self._noticed = False  # something of the host
@@ -186,6 +191,7 @@ class Simulator(Uncopied):
         self._bytes_sent = self._bytes_unread = 0
         self._flushes = self._stalled = self._unplugs = 0
         self._frames_received = self._frames_echoed = 0
+        self._bytes_ignored = self._packets_swallowed = 0
         self._controls: collections.Counter[str] = collections.Counter()
         self._configuration: AdapterReport | None = None
         self._received: collections.deque[FrameArray] = collections.deque()
@@ -280,6 +286,8 @@ class Simulator(Uncopied):
                 frames_echoed=self._frames_echoed,
                 bytes_received=stats.bytes_in,
                 bytes_skipped=stats.bytes_skipped,
+                bytes_ignored=self._bytes_ignored,
+                packets_swallowed=self._packets_swallowed,
                 controls=self._controls,
                 configuration=self._configuration,
             )
@@ -450,6 +458,7 @@ class Simulator(Uncopied):
         before = terminal.open
         if terminal.look(noticed=self._noticed):
             self._settled_ns = now + _SETTLE_NS
+            self._deaf_until_ns = now + self._deaf_ns
         elif before and not terminal.open:
             self._left = not terminal.drained()
 
@@ -467,10 +476,12 @@ class Simulator(Uncopied):
             data, flushed = terminal.read()
             if flushed:
                 self._flushed()
-            elif data:
-                self._take(memoryview(data))
-            else:
+            elif not data:
                 return
+            elif self._stepped_ns < self._deaf_until_ns:
+                self._bytes_ignored += len(data)
+            else:
+                self._take(memoryview(data))
 
     def _flushed(self) -> None:
         settling = self._settled_ns > self._stepped_ns
@@ -495,6 +506,8 @@ class Simulator(Uncopied):
 
     def _hear(self, frames: FrameArray) -> None:
         """Take frames of the host's."""
+        if len(frames) and self._swallow():
+            frames = frames[1:]
         if not len(frames):
             return
         self._frames_received += len(frames)
@@ -509,16 +522,25 @@ class Simulator(Uncopied):
 
     def _obey(self, packet: bytes) -> None:
         """Do what a control packet says."""
+        if self._swallow():
+            return
         said = adapters.report(self.protocol, packet)
         self._controls[said.kind] += 1
         if said.kind == "configuration":
             self._configuration = said
             self._out.configure(said)
-        elif said.kind == "ping" and not self.deaf:
+            self._swallowing = self._swallows
+        elif said.kind == "ping" and not self.mute:
             self._out.answer(packet)
-        elif said.kind == "status" and not self.deaf:
+        elif said.kind == "status" and not self.mute:
             # A request reads as a status without errors, and there are none here.
             self._out.answer(find_protocol(self.protocol).status_request)
+
+    def _swallow(self) -> bool:
+        """Return whether the next packet of the host is ignored, which is counted then."""
+        swallowed, self._swallowing = self._swallowing, False
+        self._packets_swallowed += swallowed
+        return swallowed
 
     def _paced(self) -> str:
         """Return the pace; where none was asked for, that of the first frames' times."""
@@ -571,6 +593,8 @@ class Simulator(Uncopied):
         self._terminal, self._path = terminal, terminal.path
         self._configuration = None
         self._out.configure(None)
+        self._deaf_until_ns = time.monotonic_ns() + self._deaf_ns
+        self._swallowing = False
         self._unplugged.clear()
 
     def _unplug(self) -> None:

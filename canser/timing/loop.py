@@ -20,8 +20,9 @@ class TimedDecoder:
     comes out does not depend on how bytes are cut into calls, nor on the size of the arrays.
 
     `byte_ns`: what a byte takes on the line. With `device_time` frames keep the times of the
-    device's clock. `recorded`: the bytes come in blocks of a recording. No exception, of Ctrl-C either, loses a frame: `count` tells how many frames
-    the array has. For one thread at a time.
+    device's clock. `recorded`: the bytes come in blocks of a recording. For one thread at a time.
+
+    No exception, of Ctrl-C either, loses a frame: `count` tells how many frames the array has.
     """
 
     def __init__(

@@ -38,6 +38,25 @@ def waiting(port: canser.Port) -> int:
     return len(port._ring)
 
 
+def read_config(device: Device) -> bytes:
+    """Return the next configuration that the host has sent, behind requests of the status."""
+    asked = canser.protocol("seeed").status_request
+    while (packet := device.read(20)) == asked:
+        pass
+    return packet
+
+
+def read_configured(device: Device, packet: bytes) -> bytes:
+    """Return the configuration that the host has sent, with requests of the status and `packet`."""
+    config, asked = device.read(20), canser.protocol("seeed").status_request
+    rest = b""
+    while not rest.endswith(packet):
+        rest += device.read(1)
+    count = (len(rest) - len(packet)) // len(asked)
+    assert rest == asked * count + packet
+    return config
+
+
 def being_read(port: canser.Port) -> bool:
     """Return whether another thread reads."""
     if port._reading.acquire(blocking=False):

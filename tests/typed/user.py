@@ -96,7 +96,7 @@ def live(url: str) -> None:
             assert_type(batch, canser.FrameArray)
             assert_type(port.send(batch), int)
             break
-        port.send("123#DEADBEEF")
+        port.send("123#DEADBEEF", pace=False)
         port.send((0x18FEF100, bytearray(8)), timeout=1.0)
         port.send([can.Message(), "123#"])
         port.send(canser.frames("123#R"))
