@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from canser.errors import PortGoneError
+from canser.live import tcp
 from canser.live.config import LineConfig
 from canser.live.line import open_line
 from device import PATIENCE
@@ -144,6 +145,46 @@ def test_the_system_asks_a_silent_peer_and_gives_up_in_16_s(kind: type[Server]) 
         finally:
             line.close()
     assert list(asked.values()) == [10, 2, 3, 15_000]
+
+
+class Connection:
+    """A connection that takes note of what it is set to."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[Any, ...]] = []
+
+    def setsockopt(self, *option: int) -> None:
+        self.asked.append(option)
+
+    def ioctl(self, *control: Any) -> None:
+        self.asked.append(control)
+
+
+def test_macos_is_asked_by_the_names_that_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "darwin")
+    for name in ("TCP_KEEPIDLE", "TCP_USER_TIMEOUT"):
+        monkeypatch.delattr(socket, name, raising=False)
+    names = {"TCP_KEEPALIVE": 0x10, "TCP_KEEPINTVL": 0x101, "TCP_KEEPCNT": 0x102}
+    for name, number in names.items():
+        monkeypatch.setattr(socket, name, number, raising=False)
+    connection: Any = Connection()
+    tcp.notice_dead_peer(connection)
+    tcp_level = socket.IPPROTO_TCP
+    assert connection.asked == [
+        (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
+        (tcp_level, 0x10, 10),
+        (tcp_level, 0x101, 2),
+        (tcp_level, 0x102, 3),
+    ]
+
+
+def test_an_old_windows_is_asked_by_a_control_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.delattr(socket, "TCP_KEEPIDLE", raising=False)
+    monkeypatch.setattr(socket, "SIO_KEEPALIVE_VALS", 0x98000004, raising=False)
+    connection: Any = Connection()
+    tcp.notice_dead_peer(connection)
+    assert connection.asked[1:] == [(0x98000004, (1, 10_000, 2000))]
 
 
 @pytest.mark.parametrize(

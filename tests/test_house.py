@@ -42,7 +42,7 @@ def room(module: str) -> str:
 WHERE_USED = {
     "rich": {"canser._progress", "canser.monitoring._table", "canser.monitoring.monitor"},
     "shtab": {"canser.commands.cli"},
-    "serial": {"canser.live.line", "canser.live.ports"},
+    "serial": {"canser.live.line", "canser.live.ports", "canser.live.rfc2217"},
     "textual": {"canser.monitoring._table", "canser.monitoring.monitor"},
 }
 

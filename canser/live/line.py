@@ -80,6 +80,8 @@ def open_line(url: str, config: LineConfig) -> Line:
         source: Any = connect(url, *server)
     else:
         source = _open_serial(url, config)
+        if scheme == "rfc2217":
+            return _Rfc2217(source, url)
         if not _has_descriptor(source):
             return _Serial(source, url)
     try:
@@ -107,10 +109,16 @@ def _open_serial(url: str, config: LineConfig) -> Any:
     import serial  # noqa: PLC0415 - imported where it is used
 
     assert config.baudrate is not None  # `canser.open` has set it
+    options: Any = {"baudrate": config.baudrate, "timeout": _LOOK_EVERY_S, "exclusive": True}
+    port: Any
     try:
-        port: Any = serial.serial_for_url(
-            url, do_not_open=True, baudrate=config.baudrate, timeout=_LOOK_EVERY_S, exclusive=True
-        )
+        if url.lower().startswith("rfc2217:"):
+            from canser.live.rfc2217 import Rfc2217Port  # noqa: PLC0415 - as serial
+
+            port = Rfc2217Port(None, **options)
+            port.port = url
+        else:
+            port = serial.serial_for_url(url, do_not_open=True, **options)
     except serial.SerialException as error:  # hwgrep:// has looked for the port already
         raise PortNotFoundError(
             f"there is no port {url}: {error}; 'canser ports' lists what is"
@@ -126,8 +134,6 @@ def _open_serial(url: str, config: LineConfig) -> Any:
         setattr(port, name, level)  # before it is open: then a line is never at the other level
     try:
         port.open()
-        if url.lower().startswith("rfc2217:"):
-            notice_dead_peer(port._socket)
     except Exception as error:  # noqa: BLE001 - as above
         raise _open_error(url, config.baudrate, error) from None
     try:
@@ -421,7 +427,7 @@ class _Descriptor:
 
 
 class _Serial:
-    """A line that only pyserial can read: rfc2217://, loop://, or the ports of Windows."""
+    """A line that only pyserial can read: loop://, spy://, or the ports of Windows."""
 
     def __init__(self, port: Any, url: str) -> None:
         self._port, self._url = port, url
@@ -429,14 +435,14 @@ class _Serial:
 
     def read_into(self, room: memoryview, timeout: float | None) -> int:
         deadline = None if timeout is None else time.monotonic() + timeout
+        left = _LOOK_EVERY_S
         while not self._awake:
+            if deadline is not None:
+                left = min(max(deadline - time.monotonic(), 0), _LOOK_EVERY_S)
             try:
-                # What is there, or the first byte that comes within _LOOK_EVERY_S.
-                data = self._port.read(max(1, min(self._port.in_waiting, len(room))))
+                data = self._receive(len(room), left)
             except (OSError, TypeError) as error:  # TypeError: closed meanwhile
-                data = _left_behind(self._port, len(room))
-                if not data:
-                    raise _gone(self._url) from error
+                raise _gone(self._url) from error
             if data:
                 room[: len(data)] = data
                 return len(data)
@@ -444,6 +450,11 @@ class _Serial:
                 break
         self._awake = False
         return 0
+
+    def _receive(self, most: int, timeout: float) -> bytes:  # noqa: ARG002 - pyserial has its own
+        """Return what is there, or the first byte that comes within _LOOK_EVERY_S."""
+        data: bytes = self._port.read(max(1, min(self._port.in_waiting, most)))
+        return data
 
     def write(self, data: memoryview, timeout: float | None) -> int:  # noqa: ARG002 - see below
         # Not every kind of port has a time-out for writing; pieces keep a call short.
@@ -470,15 +481,18 @@ class _Serial:
             raise PortError(f"{self._url}: {error.strerror or error}") from None
 
 
-def _left_behind(port: Any, most: int) -> bytes:
-    """Return what pyserial's rfc2217:// has read before the line was gone, and gives no more."""
-    queue: Any = getattr(port, "_read_buffer", None)
-    if not hasattr(queue, "get_nowait"):
-        return b""
-    left = bytearray()
-    while len(left) < most and not queue.empty():
-        left += queue.get_nowait() or b""  # None marks the end
-    return bytes(left)
+class _Rfc2217(_Serial):
+    """A line of a server of RFC 2217; its time-outs are those of the caller."""
+
+    def _receive(self, most: int, timeout: float) -> bytes:
+        data: bytes = self._port.receive(most, timeout)
+        return data
+
+    def write(self, data: memoryview, timeout: float | None) -> int:
+        try:
+            return int(self._port.transmit(data, timeout))
+        except OSError as error:
+            raise _gone(self._url) from error
 
 
 def _gone(url: str) -> PortGoneError:
