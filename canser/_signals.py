@@ -11,6 +11,9 @@ class Stop:
 
     def __init__(self) -> None:
         self.wanted = False
+        #: Whether a signal is a KeyboardInterrupt instead: while something is waited for that
+        #: cannot look at the flag, such as a server that does not answer.
+        self.interrupts = False
 
     def __bool__(self) -> bool:
         return self.wanted
@@ -27,6 +30,8 @@ def stop_on_signals() -> Iterator[Stop]:
     before: dict[int, Any] = {}
 
     def wish(number: int, _: object) -> None:
+        if stop.interrupts:
+            raise KeyboardInterrupt
         stop.wanted = True
         signal.signal(number, before[number])
 

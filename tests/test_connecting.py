@@ -9,15 +9,19 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 import canser
+from canser.commands.cli import main
 from canser.live import tcp
 from canser.live.connecting import connect_aside
 from device import PATIENCE, descriptors, until
 from servers import Server, TelnetServer
+
+INTERRUPTED = 130
 
 FRAME = canser.encode(canser.frames("123#DEADBEEF"), "seeed")
 
@@ -105,6 +109,26 @@ def test_ctrl_c_does_not_wait_for_a_name_server(names: NameServer, kind: type[Se
         assert not server._thread.is_alive(), "and is closed at once"
         until(lambda: not connecting())
         assert descriptors() <= before
+
+
+@pytest.mark.parametrize("command", ["log", "play"])
+def test_ctrl_c_ends_a_command_that_waits_for_a_name_server(
+    names: NameServer, command: str, tmp_path: Path
+) -> None:
+    (tmp_path / "sent.log").write_text("(1.0) can0 123#11\n")
+    file = tmp_path / ("run.pcapng" if command == "log" else "sent.log")
+
+    def interrupt() -> None:
+        assert names.asked.wait(PATIENCE)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    url = "socket://localhost:1"
+    assert main([command, "-c", url, "-p", "seeed", str(file)]) == INTERRUPTED
+    assert not names.answer.is_set()
+    thread.join()
+    assert [path.name for path in tmp_path.iterdir()] == ["sent.log"]
 
 
 def test_a_silent_server_is_an_error_after_the_time_limit(

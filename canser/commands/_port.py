@@ -6,6 +6,7 @@ from typing import Final
 
 from canser import adapters
 from canser._protocols import TS_UNITS, protocol, protocols
+from canser._signals import Stop
 from canser.adapters import AdapterConfig
 from canser.commands._numbers import duration, whole
 from canser.commands._parser import CallError, Parser, protocol_name
@@ -128,12 +129,21 @@ def port_options(args: argparse.Namespace) -> PortOptions:
     }
 
 
-def open_port(args: argparse.Namespace) -> Port:
-    """Open the port that the arguments name; CallError where that cannot be."""
+def open_port(args: argparse.Namespace, stop: Stop | None = None) -> Port:
+    """Open the port that the arguments name; CallError where that cannot be.
+
+    A signal meanwhile is a KeyboardInterrupt, whether `stop` takes signals or not.
+    """
+    stop = Stop() if stop is None else stop
+    stop.interrupts = True
+    if stop:
+        raise KeyboardInterrupt
     try:
         return ports.open(args.channel, args.protocol, **port_options(args))
     except (ValueError, PortNotFoundError, PortDeniedError, PortBusyError) as error:
         raise CallError(str(error)) from None
+    finally:
+        stop.interrupts = False
 
 
 def _adapter_config(args: argparse.Namespace) -> AdapterConfig | None:

@@ -249,13 +249,19 @@ class _Log:
         """Record until the end; return why the exit code is not 0."""
         args = self._args
         error: Exception | None = None
+
+        def asked() -> bool:
+            stop.interrupts = False
+            return stop.wanted
+
+        stop.interrupts = True  # until the port is open
         try:
             record(
                 args.channel,
                 args.protocol,
                 args.target,
                 duration=args.duration,
-                stop=lambda: bool(stop),
+                stop=asked,
                 bus_bitrate=args.bitrate,
                 on_event=self._tell,
                 on_status=self._keep,

@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     with (
         stop_on_signals() as stop,
         warnings_as_lines(remarks.append),
-        open_port(args) as port,
+        open_port(args, stop) as port,
     ):
         app = Monitor(
             port,

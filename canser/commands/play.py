@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
         if file:
             source.check()
         first = pipe or _open(args)
-        with first, warnings_as_lines(write_line), open_port(args) as port:
+        with first, warnings_as_lines(write_line), open_port(args, stop) as port:
             sender = Sender(port, wanted=lambda: not stop, pace=args.pace)
             sender.wait_listening()  # the times of the frames begin behind that
             try:
