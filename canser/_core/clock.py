@@ -5,17 +5,14 @@ from typing import Final
 import numpy as np
 
 from canser._core._lib import ffi, lib
-from canser._core.buffers import OFFSET_DTYPES, Offsets, Times, check_array, raise_status
+from canser._core.buffers import Times, raise_status
 
 
-def find_arrivals(pieces: Times, byte_ns: float, at: Offsets, arrivals: Times) -> None:
+def find_arrivals(pieces: Times, byte_ns: float, at: Times, arrivals: Times) -> None:
     """Set `arrivals` to when the bytes at these offsets had come.
 
     `pieces`: the offset behind each and its time, in turn. See canser_times_arrivals.
     """
-    check_array(at, "offsets", OFFSET_DTYPES, "np.empty(n, np.int64)")
-    if len(at) != len(arrivals):
-        raise ValueError(f"there are {len(at)} offsets for {len(arrivals)} frames")
     status = lib.canser_times_arrivals(
         ffi.from_buffer("canser_piece[]", pieces),
         len(pieces) // 2,

@@ -224,7 +224,7 @@ class Decoder(Uncopied):
     @property
     def frames(self) -> int:
         """Frames so far: `stats.frames`, without the rest."""
-        return self._stream.frames
+        return int(self._stream.counters_at.frames)
 
     @property
     def skipped(self) -> int:
@@ -235,6 +235,11 @@ class Decoder(Uncopied):
     def pending(self) -> int:
         """Bytes held: the start of a packet that is not whole yet."""
         return self._stream.pending
+
+    @property
+    def has_controls(self) -> bool:
+        """Whether there are control packets to take."""
+        return bool(self._controls)
 
     def take_controls(self) -> list[Control]:
         """Return the control packets since the last call, oldest first: offset and bytes.

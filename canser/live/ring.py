@@ -211,6 +211,8 @@ class Ring:
 
     def release_to(self, offset: int) -> None:
         """Release the bytes before this offset: new ones may take their place."""
+        if offset == self._begin:
+            return
         with self._lock:
             self._begin = offset
             self._set_signal()
@@ -240,6 +242,8 @@ class Ring:
 
     def hold_ready(self, held: bool) -> None:
         """Keep that descriptor readable, for a caller that holds frames it took."""
+        if held == self._held:
+            return
         with self._lock:
             self._held = held
             self._set_signal()

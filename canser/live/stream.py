@@ -1,5 +1,6 @@
 """From a ring of raw bytes to frames with host times: gaps, control packets, the watchdog."""
 
+import math
 import time
 import warnings
 from collections import deque
@@ -40,6 +41,9 @@ _SEARCH: Final = 1 << 16
 
 # A ping that has not come back after this many periods is lost.
 _PATIENCE_PERIODS: Final = 2.5
+
+# While an adapter is set up, a wait looks this often whether the adapter has answered.
+_LOOK_EVERY_S: Final = 0.1
 
 # Frames come soon if they are due within this time, at the rate of those before.
 _SOON_S: Final = 0.02
@@ -254,6 +258,8 @@ class LiveStream:
                 self._warn("clock", f"{self.url}: {self.loop.clock.remark}")
 
     def _keep_controls(self) -> None:
+        if not self.decoder.has_controls:
+            return
         for control in self.decoder.take_controls():
             if self._setup is not None and self._setup.take_answer(control.offset):
                 continue
@@ -268,15 +274,18 @@ class LiveStream:
     # Waiting
 
     def _wait(self, wanted: int, deadline: float | None) -> bool:
-        """Wait for bytes; see meanwhile whether the watchdog's ping comes back."""
-        while self._watchdog is not None:
-            self._watch()
-            soon = time.monotonic() + self._watchdog.ping_s
-            if deadline is not None and soon >= deadline:
-                break
+        """Wait for bytes; see meanwhile whether the adapter answers what it is asked."""
+        while True:
+            pause = math.inf if self._watchdog is None else self._watchdog.ping_s
+            if self._setup is not None and self._setup.active:
+                pause = min(pause, _LOOK_EVERY_S)
+            soon = time.monotonic() + pause
+            if pause == math.inf or (deadline is not None and soon >= deadline):
+                return self.ring.wait(wanted, deadline)
             if self.ring.wait(wanted, soon):
                 return True
-        return self.ring.wait(wanted, deadline)
+            self._watch()
+            self.tell_silence(6)
 
     def _watch(self) -> None:
         """See whether the ping that went out comes back in time."""

@@ -22,6 +22,9 @@ _EXCESS_NS: Final = 100_000_000
 # Their bytes may all have come since the read before them.
 _DRAIN_NS: Final = 500_000
 
+# So many reads are looked at one by one.
+_FEW: Final = 4
+
 
 class DataBlock(NamedTuple):
     """Some bytes of a line, and when they came."""
@@ -62,19 +65,11 @@ class Arrivals:
         self._rows = np.empty((64, 2), np.int64)
         self._begin, self._end = 0, 1
         self._rows[0] = 0, NEVER_NS
+        #: The offset behind all that has arrived, and when the last of it had.
+        self.end, self.last_ns = 0, NEVER_NS
         self._excess_ns = 0.0
         self._starts = True  # nothing is known of when the next read may have begun
         self.unrated_from: int | None = None  # the offset from which on nothing is counted back
-
-    @property
-    def end(self) -> int:
-        """The offset behind all that has arrived."""
-        return int(self._rows[self._end - 1, 0])
-
-    @property
-    def last_ns(self) -> int:
-        """When the last of it had arrived."""
-        return int(self._rows[self._end - 1, 1])
 
     def add(self, end: int, ns: int) -> None:
         """Take note that the bytes up to offset `end` had come by `ns`, epoch nanoseconds.
@@ -83,10 +78,11 @@ class Arrivals:
         """
         if self._end == len(self._rows):
             self._make_room(1)
-        before_end, before_ns = self._rows[self._end - 1].tolist()
+        before_end, before_ns = self.end, self.last_ns
         ns = max(ns, before_ns)
         self._rows[self._end] = end, ns
         self._end += 1
+        self.end, self.last_ns = end, ns
         if self.unrated_from is not None or self._keeps_rate:
             return
         if self._starts:
@@ -113,6 +109,7 @@ class Arrivals:
         rows[1:, 1] = times
         np.maximum.accumulate(rows[:, 1], out=rows[:, 1])
         self._end += count
+        self.end, self.last_ns = rows[-1].tolist()
         if self.unrated_from is not None or self._keeps_rate or not count:
             return
         # What `add` does one by one: a sum that is raised to zero wherever time has passed.
@@ -148,8 +145,14 @@ class Arrivals:
 
     def forget_before(self, offset: int) -> None:
         """Forget the reads that hold no byte from this offset on, all but the last of them."""
-        ends = self._rows[self._begin : self._end, 0]
-        self._begin += max(int(ends.searchsorted(offset, "right")) - 1, 0)
+        rows, begin = self._rows, self._begin
+        # Mostly one or two: a search would take longer.
+        while begin + 1 < self._end and rows[begin + 1, 0] <= offset:
+            begin += 1
+            if begin == self._begin + _FEW:
+                ends = rows[begin : self._end, 0]
+                begin += max(int(ends.searchsorted(offset, "right")) - 1, 0)
+        self._begin = begin
 
     def _make_room(self, count: int) -> None:
         kept = self._rows[self._begin : self._end]
