@@ -2,9 +2,11 @@
 
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -22,7 +24,7 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are
 
 if sys.platform != "win32":
     from beside import running
-    from device import PATIENCE, until
+    from device import PATIENCE, Device, until
     from readers import Background, content, plugged, read_configured, waiting
 
 CONFIG = adapters.configuration("seeed", AdapterConfig(bitrate=500_000))
@@ -373,6 +375,25 @@ def test_a_send_that_waits_ends_with_its_port() -> None:
         sender = Background(lambda: port.send(FRAMES))
         device.unplug()
         assert isinstance(sender.join().error, canser.SendError)
+
+
+@posix
+def test_where_nothing_can_be_asked_the_configuration_settles(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    row = replace(canser.protocol("seeed"), status_request=b"")
+    monkeypatch.setattr(canser.live.setup, "find_protocol", lambda _: row)
+    raw = canser.encode(FRAMES, "seeed")
+    with Device() as device:
+        begin = time.monotonic()
+        with canser.open(device.url, "seeed", bitrate=500_000) as port:
+            assert time.monotonic() - begin >= 0.1
+            port.send(FRAMES, timeout=0, pace=False)
+            begin = time.monotonic()
+            port.configure(bitrate=500_000)
+            assert time.monotonic() - begin >= 0.1
+            assert device.read(40 + len(raw)) == CONFIG + raw + CONFIG
+            assert not device.hears()
 
 
 @contextmanager
