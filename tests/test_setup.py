@@ -365,6 +365,14 @@ def test_only_a_send_waits_and_within_its_time() -> None:
 
 
 @posix
+def test_a_request_goes_out_behind_the_rest_of_a_packet() -> None:
+    """Otherwise a packet that was cut would keep all requests back."""
+    with plugged(bitrate=500_000) as (device, port):
+        port._reader._rest = memoryview(b"the rest")
+        assert read_configured(device, b"the rest" + ASK) == CONFIG
+
+
+@posix
 def test_a_send_that_waits_ends_with_its_port() -> None:
     with plugged(bitrate=500_000) as (_, port):
         sender = Background(lambda: port.send(FRAMES))
