@@ -2,9 +2,11 @@
 
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -22,7 +24,7 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are
 
 if sys.platform != "win32":
     from beside import running
-    from device import PATIENCE, until
+    from device import PATIENCE, Device, until
     from readers import Background, content, plugged, read_configured, waiting
 
 CONFIG = adapters.configuration("seeed", AdapterConfig(bitrate=500_000))
@@ -363,6 +365,14 @@ def test_only_a_send_waits_and_within_its_time() -> None:
 
 
 @posix
+def test_a_request_goes_out_behind_the_rest_of_a_packet() -> None:
+    """Otherwise a packet that was cut would keep all requests back."""
+    with plugged(bitrate=500_000) as (device, port):
+        port._reader._rest = memoryview(b"the rest")
+        assert read_configured(device, b"the rest" + ASK) == CONFIG
+
+
+@posix
 def test_a_send_that_waits_ends_with_its_port() -> None:
     with plugged(bitrate=500_000) as (_, port):
         sender = Background(lambda: port.send(FRAMES))
@@ -375,6 +385,25 @@ def test_a_send_that_waits_ends_with_its_port() -> None:
         assert isinstance(sender.join().error, canser.SendError)
 
 
+@posix
+def test_where_nothing_can_be_asked_the_configuration_settles(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    row = replace(canser.protocol("seeed"), status_request=b"")
+    monkeypatch.setattr(canser.live.setup, "find_protocol", lambda _: row)
+    raw = canser.encode(FRAMES, "seeed")
+    with Device() as device:
+        begin = time.monotonic()
+        with canser.open(device.url, "seeed", bitrate=500_000) as port:
+            assert time.monotonic() - begin >= 0.1
+            port.send(FRAMES, timeout=0, pace=False)
+            begin = time.monotonic()
+            port.configure(bitrate=500_000)
+            assert time.monotonic() - begin >= 0.1
+            assert device.read(40 + len(raw)) == CONFIG + raw + CONFIG
+            assert not device.hears()
+
+
 @contextmanager
 def quick(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     with monkeypatch.context() as patched:
@@ -384,7 +413,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @posix
-@pytest.mark.parametrize("call", ["send", "read_batch"])
+@pytest.mark.parametrize("call", ["send", "read_batch", "a read that waits"])
 def test_an_adapter_that_does_not_answer_is_told_once_where_it_is_used(
     monkeypatch: pytest.MonkeyPatch, call: str
 ) -> None:
@@ -392,7 +421,10 @@ def test_an_adapter_that_does_not_answer_is_told_once_where_it_is_used(
         if call == "read_batch":
             until(lambda: port._setup.listening)
         with pytest.warns(canser.CanserWarning) as told:
-            port.send(FRAMES[:1]) if call == "send" else port.read_batch(timeout=0)
+            if call == "send":
+                port.send(FRAMES[:1])
+            else:
+                port.read_batch(timeout=0 if call == "read_batch" else 1)
         (warning,) = told.list
         assert str(warning.message).startswith(
             f"{device.url} did not answer its status request within 0.25 s; "

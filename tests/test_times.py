@@ -1,7 +1,5 @@
 """What C does for each frame's time, against plain Python."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -125,16 +123,3 @@ def test_ranks_among_many(spread: int) -> None:
         values[:: count // 7] = MOST  # what a false frame makes of them
         for rank in (0, 1, count // 2, count - 2, count - 1):
             check_ranks(values.tolist(), rank)
-
-
-@pytest.mark.parametrize(
-    ("offsets", "problem"),
-    [
-        (np.zeros(2, np.int64), "there are 2 offsets for 3 frames"),
-        (np.zeros(3, np.int32), "offsets must be an array"),
-        (np.zeros(6, np.int64)[::2], "offsets is not contiguous"),
-    ],
-)
-def test_offsets_that_c_must_not_see(offsets: Any, problem: str) -> None:
-    with pytest.raises((TypeError, ValueError), match=problem):
-        find_arrivals(array([9, 1]), 1, offsets, np.empty(3, np.int64))

@@ -20,9 +20,10 @@ _EXTENDED: Final = 67
 _ERROR: Final = 17
 _ERROR_LONGEST: Final = 23  # flags that overlap are up to twelve bits (CAN 2.0, 3.1.3)
 
-# Bits of a frame without its data that stuff bits may lie among (CAN 2.0, 5): from the start to
-# the CRC. Of n such bits every fourth but the first can be followed by one: five equal bits are,
-# and the stuff bit counts as the first of the next five.
+# Bits of a frame without its data, from the start to the CRC, among which stuff bits may lie. Five
+# equal bits are followed by a stuff bit, which counts as the first of the next five (CAN 2.0, 5).
+# So the first one stands behind five bits and each further one behind four more: among n bits
+# there are (n - 1) // 4 at most.
 _STANDARD_STUFFED: Final = 34
 _EXTENDED_STUFFED: Final = 54
 

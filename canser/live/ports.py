@@ -359,7 +359,8 @@ class Port(Uncopied):
     def take_controls(self) -> list[Control]:
         """Return the control packets since the last call, oldest first: offset and bytes.
 
-        `adapters.report` tells what they say. The newest 65,536 are kept.
+        `adapters.report` tells what they say. The newest 65,536 are kept. Answers to the requests
+        that follow a configuration are not among them; `stats` counts them.
         """
         return _empty(self._stream.controls)
 
@@ -392,7 +393,10 @@ class Port(Uncopied):
 
     @property
     def status(self) -> AdapterReport | None:
-        """The last status that came from the adapter, None before the first."""
+        """The last status that came from the adapter, None before the first.
+
+        Answers to the requests that follow a configuration do not count.
+        """
         return self._stream.status
 
     @property

@@ -276,7 +276,9 @@ class LineReader:
         if not self._writing.acquire(blocking=False):
             return False
         try:
-            # Never into the middle of another packet.
+            # Never into the middle of another packet: its rest goes first.
+            if self._rest:
+                self._rest = self._rest[line.write(self._rest, 0) :]
             if self._rest or not (sent := line.write(memoryview(packet), 0)):
                 return False
             self._rest = memoryview(packet)[sent:]
