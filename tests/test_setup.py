@@ -420,11 +420,9 @@ def test_an_adapter_that_does_not_answer_is_told_once_where_it_is_used(
     with quick(monkeypatch), plugged(bitrate=500_000) as (device, port):
         if call == "read_batch":
             until(lambda: port._setup.listening)
+        timeout = 0 if call == "read_batch" else 1
         with pytest.warns(canser.CanserWarning) as told:
-            if call == "send":
-                port.send(FRAMES[:1])
-            else:
-                port.read_batch(timeout=0 if call == "read_batch" else 1)
+            port.send(FRAMES[:1]) if call == "send" else port.read_batch(timeout=timeout)
         (warning,) = told.list
         assert str(warning.message).startswith(
             f"{device.url} did not answer its status request within 0.25 s; "
