@@ -24,6 +24,7 @@ import growth
 import instructions
 import memory
 import peers
+import recordings
 from canser._frames import FrameArray
 from hostile import Bytes, hostile, noisy, tiled
 from measure import copy_and_fill, machine, paired
@@ -42,6 +43,9 @@ L_BOUNDS_NS = 4.0  # memory is the limit where L takes longer than this for a fr
 PYTHON_CAN = {"serial": 750.0, "seeed": 1300.0}
 NUMPY, NUMBA = 10.0, 2.0
 HOSTILE = 8.0  # clean frames
+# Ten times 0.011, which Python alone reached on blocks of 93 bytes.
+RECORDED_SMALL = 0.11
+RECORDED_FULL = {"serial": 0.13, "seeed": 0.27, "cantalope": 0.27}
 NEW_ARRAY = {1 << 20: 0.65, 1 << 16: 0.45}  # by the bytes of the input
 
 
@@ -289,6 +293,29 @@ def files(stream: Stream, size: int, folder: Path, rounds: int) -> Iterator[Row]
     path.unlink()
 
 
+def recorded(protocol: str, size: int, folder: Path, rounds: int) -> Iterator[Row]:
+    """Read recordings, over a file of the same bytes alone; frames get host times by it."""
+    frames, raw = recordings.busy(size // 16, protocol)
+    bare = folder / f"{protocol}.bin"
+    bare.write_bytes(raw)
+    room = np.zeros(1 << 16, canser.FRAME_DTYPE)
+
+    def count(path: Path) -> int:
+        return sum(len(block) for block in canser.blocks(path, protocol, out=room))
+
+    for name, piece in (("small", recordings.SMALL), ("full", recordings.LARGE)):
+        path = folder / f"{name}.pcapng"
+        recordings.record(path, protocol, raw, piece)
+        assert count(path) == count(bare) == len(frames), "frames of the recording are lost"
+        _, seconds, ratio = paired(lambda: count(bare), lambda: count(path), rounds)  # noqa: B023
+        required = RECORDED_SMALL if name == "small" else RECORDED_FULL[protocol]
+        note = f"{seconds / len(frames) * 1e9:.1f} ns a frame, "
+        note += f"{len(raw) / seconds / 1e9:.2f} GB/s of the line"
+        yield Row(f"a recording in {name} blocks, over raw", protocol, ratio, required, note)
+        path.unlink()
+    bare.unlink()
+
+
 def threads(stream: Stream, rounds: int) -> Iterator[Row]:
     """Compare two threads with one, into one array."""
     protocol, out = stream.protocol, stream.out
@@ -358,6 +385,7 @@ def rows(count: int, size: int, rounds: int, folder: Path) -> Iterator[Row]:
         yield from pieces(stream, rounds)
         yield from threads(stream, rounds)
         yield from files(stream, size, folder, max(rounds // 3, 1))
+        yield from recorded(protocol, size // 32, folder, rounds)
         if protocol == "serial":
             yield from convert(stream, size, folder, max(rounds // 4, 1))
         yield from memory_rows(protocol, size // 2)

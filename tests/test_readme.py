@@ -24,19 +24,21 @@ def test_the_lines_of_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.chdir(tmp_path)
     for name, protocol in (("run.bin", "serial"), ("week.bin", "seeed")):
         Path(name).write_bytes(line_noise(canser.encode(vehicle(2), protocol)))
-    files, live, bus = BLOCKS
+    files, live, recording, bus = BLOCKS
     names: dict[str, object] = {}
     exec(files, names)
     assert len(names["frames"]) > 3000  # type: ignore[arg-type]
     assert names["count"]
     # The loop that goes on for ever ends after a batch.
-    live = live.replace("    ...\n", "    break\n")
+    live, recording = (code.replace("    ...\n", "    break\n") for code in (live, recording))
+    recording = recording.replace("duration=3600", "duration=0.3")
     names["frames"] = vehicle(1)  # those of the first lines have seen noise
-    for code in (live, bus):
+    for code in (live, recording, bus):
         with Simulator("seeed", vehicle(2), loop=True) as device:
             exec(code.replace("/dev/ttyUSB0", device.url), names)
     assert len(names["batch"]) >= 100  # type: ignore[arg-type]
     assert names["message"]
+    assert len(canser.read("run-000001.pcapng"))
 
 
 def test_the_commands_are_those_of_the_makefile() -> None:
