@@ -33,7 +33,7 @@ def test_the_lines_of_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     live, recording = (code.replace("    ...\n", "    break\n") for code in (live, recording))
     recording = recording.replace("duration=3600", "duration=0.3")
     names["frames"] = vehicle(1)  # those of the first lines have seen noise
-    for code in (live, recording, bus):
+    for code in (recording, live, bus):
         with Simulator("seeed", vehicle(2), loop=True) as device:
             exec(code.replace("/dev/ttyUSB0", device.url), names)
     assert len(names["batch"]) >= 100  # type: ignore[arg-type]
