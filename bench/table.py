@@ -24,7 +24,7 @@ import growth
 import instructions
 import memory
 import peers
-import recordings
+import recording_files
 from canser._frames import FrameArray
 from hostile import Bytes, hostile, noisy, tiled
 from measure import copy_and_fill, machine, paired
@@ -295,7 +295,7 @@ def files(stream: Stream, size: int, folder: Path, rounds: int) -> Iterator[Row]
 
 def recorded(protocol: str, size: int, folder: Path, rounds: int) -> Iterator[Row]:
     """Read recordings, over a file of the same bytes alone; frames get host times by it."""
-    frames, raw = recordings.busy(size // 16, protocol)
+    frames, raw = recording_files.busy(size // 16, protocol)
     bare = folder / f"{protocol}.bin"
     bare.write_bytes(raw)
     room = np.zeros(1 << 16, canser.FRAME_DTYPE)
@@ -303,9 +303,9 @@ def recorded(protocol: str, size: int, folder: Path, rounds: int) -> Iterator[Ro
     def count(path: Path) -> int:
         return sum(len(block) for block in canser.blocks(path, protocol, out=room))
 
-    for name, piece in (("small", recordings.SMALL), ("full", recordings.LARGE)):
+    for name, piece in (("small", recording_files.SMALL), ("full", recording_files.LARGE)):
         path = folder / f"{name}.pcapng"
-        recordings.record(path, protocol, raw, piece)
+        recording_files.record(path, protocol, raw, piece)
         assert count(path) == count(bare) == len(frames), "frames of the recording are lost"
         _, seconds, ratio = paired(lambda: count(bare), lambda: count(path), rounds)  # noqa: B023
         required = RECORDED_SMALL if name == "small" else RECORDED_FULL[protocol]

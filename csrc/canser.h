@@ -43,6 +43,9 @@ extern "C" {
 /* How many of the lowest values canser_times_lowest() tells apart. */
 #define CANSER_LOWEST_MAX 4
 
+/* Of so many frames of a piece all but one may be false, and its sample is a true one. */
+#define CANSER_SAMPLER_MAX 3
+
 /* Status codes: the caller's mistakes, found before a byte is touched. */
 enum {
     CANSER_OK = 0,
@@ -205,14 +208,16 @@ typedef struct {
 typedef struct {
     int64_t device;
     int64_t arrival;
-    int64_t index; /* that of the first frame behind the piece, in the call that gave this one */
+    int64_t counted; /* by how much it was counted back from the last frame of the piece */
+    int64_t index;   /* that of the first frame behind the piece, in the call that gave this one */
 } canser_sample;
 
 /* What is known of the piece that the last frame was in. Fields are the library's own. */
 typedef struct {
     int64_t piece_end;
-    uint64_t count;                          /* frames in it so far */
-    canser_sample lowest[CANSER_LOWEST_MAX]; /* by arrival less device time, first ones first */
+    int64_t last;                             /* the arrival of the last frame */
+    uint64_t count;                           /* frames in it so far */
+    canser_sample lowest[CANSER_SAMPLER_MAX]; /* by arrival less device time, first ones first */
 } canser_sampler;
 
 /* Which turn of its counter a device's clock is in. Fields are the library's own. */
@@ -450,9 +455,9 @@ int canser_times_turns(canser_turns *self, int64_t tick_ns, const int64_t *arriv
  *
  * The arguments are those of canser_times_arrivals and what it gave; device[i] is the time of
  * frame i by the device's clock, at[i] the offset at which it starts. A sample is the frame of a
- * piece with the third lowest arrival less device time, the second lowest of less than 8
- * frames, the lowest of less than 4: false frames have any device time. It is given once a
- * frame of a later piece has come, in this call or the next one. `self` is all zero for a new
+ * piece with the lowest arrival less device time; but false frames have any device time, so one of
+ * the two lowest that is lower than the next one by over a minute does not count. It is given once
+ * a frame of a later piece has come, in this call or the next one. `self` is all zero for a new
  * stream. `samples` has room for `count`; `*sample_count` is set on every return on which it
  * is not NULL. Returns as canser_times_arrivals. */
 int canser_times_sample(canser_sampler *self, const canser_piece *pieces, size_t piece_count,

@@ -6,9 +6,8 @@
  */
 #include "clock.h"
 
-/* Of the frames of a piece as many may be too early as noise may make false. */
-enum { SAMPLE_RANK = 2 };
-_Static_assert(SAMPLE_RANK < CANSER_LOWEST_MAX, "so many of the lowest are kept");
+/* No true frame of a piece is less late than the others by more: bytes queue for no longer. */
+static const int64_t LATE_MOST_NS = INT64_C(60000000000);
 
 static int64_t add(int64_t a, int64_t b)
 {
@@ -151,23 +150,39 @@ int canser_times_turns(canser_turns *self, int64_t tick_ns, const int64_t *arriv
     return CANSER_OK;
 }
 
-/* Put a frame among the lowest of its piece. */
-static void add_lowest(canser_sampler *self, int64_t device, int64_t arrival)
+/* How late a frame is, but for a constant. */
+static int64_t delay_of(const canser_sample *frame)
 {
-    const int64_t delay = subtract(arrival, device);
-    size_t at = self->count < CANSER_LOWEST_MAX ? (size_t)self->count : CANSER_LOWEST_MAX;
+    return subtract(frame->arrival, frame->device);
+}
+
+/* Put a frame among the lowest of its piece. */
+static void add_lowest(canser_sampler *self, const canser_sample *frame)
+{
+    const int64_t delay = delay_of(frame);
+    size_t at = self->count < CANSER_SAMPLER_MAX ? (size_t)self->count : CANSER_SAMPLER_MAX;
 
     self->count++;
-    for (; at; at--) {
-        const canser_sample *const before = &self->lowest[at - 1];
+    self->last = frame->arrival;
+    for (; at && delay < delay_of(&self->lowest[at - 1]); at--)
+        if (at < CANSER_SAMPLER_MAX)
+            self->lowest[at] = self->lowest[at - 1];
+    if (at < CANSER_SAMPLER_MAX)
+        self->lowest[at] = *frame;
+}
 
-        if (delay >= subtract(before->arrival, before->device))
-            break;
-        if (at < CANSER_LOWEST_MAX)
-            self->lowest[at] = *before;
-    }
-    if (at < CANSER_LOWEST_MAX)
-        self->lowest[at] = (canser_sample){device, arrival, 0};
+/* The sample of a piece of which all frames have come. */
+static canser_sample take_sample(canser_sampler *self)
+{
+    const size_t count =
+        self->count < CANSER_SAMPLER_MAX ? (size_t)self->count : CANSER_SAMPLER_MAX;
+    const canser_sample *frame = self->lowest;
+
+    while (frame + 1 < self->lowest + count &&
+           subtract(delay_of(frame + 1), delay_of(frame)) > LATE_MOST_NS)
+        frame++;
+    self->count = 0;
+    return (canser_sample){frame->device, frame->arrival, subtract(self->last, frame->arrival), 0};
 }
 
 int canser_times_sample(canser_sampler *self, const canser_piece *pieces, size_t piece_count,
@@ -189,15 +204,11 @@ int canser_times_sample(canser_sampler *self, const canser_piece *pieces, size_t
         while (pieces->end <= at[i] && pieces < last)
             pieces++;
         if (self->count && pieces->end != self->piece_end) {
-            const uint64_t quarter = self->count / 4;
-            canser_sample *const sample = &samples[(*sample_count)++];
-
-            *sample = self->lowest[quarter < SAMPLE_RANK ? quarter : SAMPLE_RANK];
-            sample->index = (int64_t)i;
-            self->count = 0;
+            samples[*sample_count] = take_sample(self);
+            samples[(*sample_count)++].index = (int64_t)i;
         }
         self->piece_end = pieces->end;
-        add_lowest(self, device[i], arrivals[i]);
+        add_lowest(self, &(canser_sample){device[i], arrivals[i], 0, 0});
     }
     return CANSER_OK;
 }

@@ -117,7 +117,9 @@ class ClockLine:
             raise_status(status)
 
 
-_SAMPLE_DTYPE: Final = np.dtype([("device", "i8"), ("arrival", "i8"), ("index", "i8")])
+_SAMPLE_DTYPE: Final = np.dtype(
+    [("device", "i8"), ("arrival", "i8"), ("counted", "i8"), ("index", "i8")]
+)
 assert ffi.sizeof("canser_sample") == _SAMPLE_DTYPE.itemsize
 
 
@@ -131,10 +133,12 @@ class Sampler:
 
     def sample(
         self, pieces: Times, at: Times, device: Times, arrivals: Times
-    ) -> tuple[Times, Times, Times]:
-        """Return device times, arrivals, and where the next piece begins, good until the next call.
+    ) -> tuple[Times, Times, Times, Times]:
+        """Return the samples, good until the next call.
 
-        `pieces`: as of `find_arrivals`, and so `at` and `arrivals`.
+        `pieces`: as of `find_arrivals`, and so `at` and `arrivals`. Returns device times, arrivals,
+        by how much each was counted back from the last frame of its piece, and the indices of the
+        first frames behind the pieces.
         """
         if len(self._samples) < len(at):
             self._samples = np.empty(len(at), _SAMPLE_DTYPE)
@@ -152,7 +156,7 @@ class Sampler:
         if status:
             raise_status(status)
         found = self._samples[: self._count[0]]
-        return found["device"], found["arrival"], found["index"]
+        return found["device"], found["arrival"], found["counted"], found["index"]
 
     def reset(self) -> None:
         """Forget the piece that the last frame was in."""

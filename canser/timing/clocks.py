@@ -19,12 +19,15 @@ A delay is milliseconds as a rule, and seconds when the host was busy and bytes 
 but in every second some frames come through at once. So the lower envelope is the
 estimate, and late frames do not matter to it:
 
-- Each piece gives one *sample*: its frame with the third lowest difference (canser_times_sample),
-  because a false frame out of noise may be lower than all true ones. So a burst on a line that
-  is faster than `byte_ns` says, whose first frames seem to come too early, is one sample.
-- Samples are gathered into *buckets* of a second. A bucket gives one *point*: again its third
-  lowest difference (of equal ones the first counts as the lowest). Differences over a minute
-  from the bucket's median are false frames', and left out.
+- Each piece gives one *sample*: its frame with the lowest difference, but for false frames
+  (canser_times_sample). So a burst on a line that is faster than `byte_ns` says, whose first
+  frames seem to come too early, is one sample.
+- Samples are gathered into *buckets* of a second. A bucket gives one *point*: its third lowest
+  difference (of equal ones the first counts as the lowest), because a false frame out of noise,
+  or the first one of a burst, may be lower than all others. Differences over a minute from the
+  bucket's median are false frames', and left out.
+- Where the line is known well, samples that lie below it for the only reason that they were
+  counted back are left out, too: bursts.
 - The *line* lies below the points of the last minutes. The slope is the median over pairs of
   points a quarter window apart, so one jump of the clock touches at most a third of the pairs.
   Until there is half a minute of points, and as long as the slopes do not agree, the slope is
@@ -95,6 +98,11 @@ _FIRST_SAMPLES: Final = 4
 _WINDOW_POINTS: Final = 300  # five minutes of a busy bus, in which crystals are steady
 _STUCK_POINTS: Final = 30  # in a row above the line: no queue lasts as long
 _STUCK_NS: Final = 20 * _MS_NS
+
+# By so many points the line is known well. What lies below it by more than that is a burst: least
+# delays of a second that differ by more do so on a quiet line, and there little is counted back.
+_KNOWN_POINTS: Final = 10
+_BURST_NS: Final = 2 * _MS_NS
 
 # A slope needs a span: over 30 s minima that differ by 1 ms give 50 ppm, as much as a crystal is
 # off. It is believed if half of the slopes are within 200 ppm of it: with ticks of a second
@@ -225,31 +233,30 @@ class FrameClock:
 
 
 class _Bucket:
-    """Samples by which a clock is estimated: device times and arrivals.
-
-    Its arrays are kept for the next ones.
-    """
+    """Samples by which a clock is estimated. Its arrays are kept for the next ones."""
 
     def __init__(self) -> None:
         self.count = 0
-        self._rows = np.empty((3, 256), np.int64)
+        self._rows = np.empty((4, 256), np.int64)
 
-    def add(self, device: Times, arrivals: Times) -> None:
-        """Take samples."""
-        begin, self.count = self.count, self.count + len(device)
+    def add(self, *samples: Times) -> None:
+        """Take device times, arrivals, and how far these were counted back."""
+        begin, self.count = self.count, self.count + len(samples[0])
         if self.count > self._rows.shape[1]:
             # In large steps: pages that are not written to take no memory, and copies do.
-            rows = np.empty((3, 4 * self.count), np.int64)
-            rows[:2, :begin] = self._rows[:2, :begin]
+            rows = np.empty((4, 4 * self.count), np.int64)
+            rows[:3, :begin] = self._rows[:3, :begin]
             self._rows = rows
-        self._rows[0, begin : self.count] = device
-        self._rows[1, begin : self.count] = arrivals
+        for row, values in zip(self._rows, samples, strict=False):
+            row[begin : self.count] = values
 
-    def take(self) -> tuple[Times, Times, Times]:
-        """Empty it; return device times, arrivals, and their differences, good until `add`."""
-        device, arrivals, delays = self._rows[:, : self.count]
+    def take(self) -> Times:
+        """Empty it; return rows as of `add`, and delays, good until the next `add`."""
+        rows = self._rows[:, : self.count]
         self.count = 0
-        return device, arrivals, np.subtract(arrivals, device, out=delays)
+        device, arrivals, _, delays = rows
+        np.subtract(arrivals, device, out=delays)
+        return rows
 
 
 class _DeviceClock:
@@ -284,7 +291,7 @@ class _DeviceClock:
 
         `pieces`, `at`: where the reads end and the frames begin, as `Sampler.sample` takes them.
         """
-        known, arrived, behind = self._sampler.sample(pieces, at, device, times)
+        known, arrived, counted, behind = self._sampler.sample(pieces, at, device, times)
         done = used = 0
         while used < len(known):
             if not self._bucket.count:
@@ -295,7 +302,7 @@ class _DeviceClock:
             if not self._settled:
                 left = min(left, max(_FIRST_SAMPLES, self._tried) - self._bucket.count)
             part = slice(used, min(used + left, len(known)))
-            self._bucket.add(known[part], arrived[part])
+            self._bucket.add(known[part], arrived[part], counted[part])
             used += left
             if used <= len(known):
                 # The estimate that maps a frame is that of the samples that came before it.
@@ -334,7 +341,8 @@ class _DeviceClock:
 
     def _close(self) -> None:
         """Learn from the open bucket, which is full."""
-        device, arrivals, delays = self._bucket.take()
+        samples = self._bucket.take()
+        device, arrivals, _, delays = samples
         total = len(device)
         self._tried += total
         if self._since is None:
@@ -344,7 +352,8 @@ class _DeviceClock:
         usual, low, high = find_ranked(delays, total // 2)
         if max(usual - low, high - usual) > _LONGEST_QUEUE_NS:
             near = np.abs(delays - usual) <= _LONGEST_QUEUE_NS
-            device, arrivals, delays = device[near], arrivals[near], delays[near]
+            samples = np.compress(near, samples, axis=1)
+            device, arrivals, _, delays = samples
         middle, _, _ = find_ranked(device, len(device) // 2)
         self._check_rate(device, middle, int(arrivals[len(arrivals) // 2]))
         if self.remark is not None:
@@ -352,6 +361,7 @@ class _DeviceClock:
             return
         if len(device) * 2 < total:
             return  # noise
+        device, arrivals, _, delays = self._leave_out_bursts(samples)
 
         lowest = find_lowest(delays, min(2, total // 4))
         point = [[device[lowest]], [arrivals[lowest]], [delays[lowest]]]
@@ -374,6 +384,18 @@ class _DeviceClock:
             frames=self._frames,
             restarts=self._restarts,
         )
+
+    def _leave_out_bursts(self, samples: Times) -> Times:
+        """Return the samples without those that counting back alone has put below the line."""
+        if self._points.shape[1] < _KNOWN_POINTS:
+            return samples
+        device, arrivals, counted, _ = samples
+        residuals = np.empty_like(device)
+        self._line.find_residuals(device, arrivals, residuals)
+        bursts = (residuals < -_BURST_NS) & (residuals + counted >= -_BURST_NS)
+        # If these are most, it is the line that is too late.
+        few = 0 < np.count_nonzero(bursts) * 2 < len(bursts)
+        return np.compress(~bursts, samples, axis=1) if few else samples
 
     def _check_rate(self, device: Times, middle: int, arrival: int) -> None:
         """Find out how fast the device's clock runs, and say so if it is not a second a second."""

@@ -1712,24 +1712,36 @@ static void check_turns(const int64_t *arrivals, size_t count)
     check_times(1, out, times, count);
 }
 
-/* What stands at rank 2 of a piece, 1 of less than 8 frames, 0 of less than 4. */
+/* The lowest of a piece, but for two at most that are lower than the next one by over a minute. */
 static canser_sample plain_sample(const int64_t *device, const int64_t *arrivals, size_t begin,
                                   size_t end)
 {
-    const size_t count = end - begin, rank = count < 4 ? 0 : count < 8 ? 1 : 2;
+    size_t sorted[3], found = 0, chosen = 0;
 
-    for (size_t i = begin; i < end; i++) {
-        const int64_t delay = less(arrivals[i], device[i]);
-        size_t before = 0;
+    while (found < 3 && found < end - begin) {
+        size_t lowest = SIZE_MAX;
 
-        for (size_t k = begin; k < end; k++) {
-            const int64_t other = less(arrivals[k], device[k]);
-            before += other < delay || (other == delay && k < i);
+        for (size_t i = begin; i < end; i++) {
+            bool taken = false;
+
+            for (size_t k = 0; k < found; k++)
+                taken |= sorted[k] == i;
+            if (!taken && (lowest == SIZE_MAX ||
+                           less(arrivals[i], device[i]) < less(arrivals[lowest], device[lowest])))
+                lowest = i;
         }
-        if (before == rank)
-            return (canser_sample){device[i], arrivals[i], (int64_t)end};
+        sorted[found++] = lowest;
     }
-    return (canser_sample){0, 0, -1};
+    while (chosen + 1 < found) {
+        const size_t i = sorted[chosen], k = sorted[chosen + 1];
+
+        if (less(less(arrivals[k], device[k]), less(arrivals[i], device[i])) <= 60000000000)
+            break;
+        chosen++;
+    }
+    const size_t i = sorted[chosen];
+    return (canser_sample){device[i], arrivals[i], less(arrivals[end - 1], arrivals[i]),
+                           (int64_t)end};
 }
 
 static void check_samples(const int64_t *device, const int64_t *arrivals, size_t piece_count,
