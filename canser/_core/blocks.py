@@ -31,7 +31,7 @@ class BlockGatherer:
         lib.canser_recording_init(self._self)
         room = np.empty(room_bytes, np.uint8)
         self._pieces = np.empty((room_bytes // _SMALL_BLOCK + 1, 2), np.int64)
-        self._data = memoryview(room)
+        self._data = room.data.toreadonly()
         self._room = (
             ffi.from_buffer("uint8_t[]", room),
             len(room),

@@ -2,7 +2,10 @@
 
 from typing import NamedTuple
 
-__all__ = ["DataBlock", "count_back"]
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["DataBlock", "DataRun", "count_back"]
 
 
 class DataBlock(NamedTuple):
@@ -15,6 +18,21 @@ class DataBlock(NamedTuple):
     #: Bytes of the line that are lost right before; -1: their number is unknown.
     lost: int = 0
     #: Whether bytes are missing right before, or may be.
+    gap: bool = False
+
+
+class DataRun(NamedTuple):
+    """The bytes of some blocks, one behind the other, with nothing missing between them."""
+
+    #: The bytes, good until the next run; none where bytes were lost that no others followed.
+    data: memoryview
+    #: Where in `data` each block ends: ascending, the last one at its end.
+    ends: npt.NDArray[np.int64]
+    #: When the last byte of each block had come, in epoch nanoseconds.
+    times: npt.NDArray[np.int64]
+    #: Bytes of the line that are lost right before `data`; -1: their number is unknown.
+    lost: int = 0
+    #: Whether bytes are missing right before `data`, or may be.
     gap: bool = False
 
 
