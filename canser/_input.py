@@ -1,10 +1,12 @@
-"""Files to read: opened, mapped where they can be, their bytes by offset in bounded memory."""
+"""Files to read: opened, read or mapped, their bytes by offset in bounded memory."""
 
 import errno
 import io
 import mmap
 import os
 import stat
+import sys
+import threading
 from typing import BinaryIO, Self, cast
 
 from canser._named import named
@@ -19,8 +21,17 @@ Source = str | os.PathLike[str] | BinaryIO
 WINDOW = 8 << 20
 assert WINDOW % mmap.ALLOCATIONGRANULARITY == 0
 
-# What is read at a time from what cannot be mapped, such as a pipe.
+# What is read at a time from a regular file: enough that a call of the system costs nothing.
+READ = 1 << 20
+
+# What is read at a time of any other, such as a pipe.
 CHUNK = 1 << 18
+
+# What `ahead` has at hand where the file does not end: more than a block of a recording.
+AHEAD = 1 << 17
+
+# Where files have one place to read at: two threads may read the same file.
+_SEEKING = threading.Lock()
 
 # Of what cannot be read twice the first bytes are kept: enough to tell what they are.
 HEAD_LEN = 1 << 16
@@ -29,14 +40,14 @@ HEAD_LEN = 1 << 16
 class Input:
     """The bytes of a file by their offsets, a part of it at a time, going forward.
 
-    Offsets count from where the file stands. A regular file is mapped; of any other, what
-    lies before the last offset asked for is forgotten. A context manager: a file that was
-    given by its path is closed at the end.
+    Offsets count from where the file stands. What lies before the last offset asked for is
+    forgotten. A context manager: a file that was given by its path is closed at the end.
 
-    The size of a mapped file is measured again before each window of it: OSError where the
-    file got shorter. If it gets shorter while a window is being read, the system ends the
-    process (SIGBUS): no program can rule that out for a mapped file. Copy a file that
-    another program may cut, or give it opened by `gzip.open`, a pipe or `io.BytesIO`.
+    The size of a regular file is measured again before each part of it: OSError where the file
+    got shorter. After `map_windows` and `map_whole` such a file is mapped. If it gets shorter
+    while a window is being read, the system ends the process (SIGBUS): no program can rule that
+    out for a mapped file. Copy a file that another program may cut, or give it opened by
+    `gzip.open`, a pipe or `io.BytesIO`.
 
     TypeError for what is neither a path nor a file open for reading bytes.
     """
@@ -52,13 +63,15 @@ class Input:
             name = getattr(source, "name", "the file")
             self.name = "standard input" if name == "<stdin>" else str(name)
         self.file: BinaryIO = self._opened or cast(BinaryIO, source)
-        self.size = _regular_size(self.file)  # None for what cannot be mapped
+        self.size = _regular_size(self.file)  # None for what is read as a pipe is
         self.start = 0 if self.size is None else self.file.tell()
         # One read() of the system each, so that a pipe's bytes are not waited for.
         self._read = getattr(self.file, "read1", None) or self.file.read
         self._base = 0  # the offset of the view's first byte
         self._view = memoryview(b"")
-        self._head = bytearray()  # the first bytes of what cannot be mapped
+        self._memory = bytearray()  # that a regular file is read into
+        self._mapped = False
+        self._head = bytearray()  # the first bytes of what is read as a pipe is
 
     def __enter__(self) -> Self:
         return self
@@ -69,6 +82,7 @@ class Input:
     def close(self) -> None:
         """Let go of the file, and close it if it was opened here."""
         self._view = memoryview(b"")  # a map holds a descriptor of its own
+        self._memory = bytearray()
         if self._opened is not None:
             self._opened.close()
 
@@ -94,12 +108,28 @@ class Input:
             self._move(offset, 1)
         return self._view[offset - self._base :]
 
+    def ahead(self, offset: int) -> memoryview:
+        """Return the bytes there that are at hand, many of a file that is no pipe.
+
+        The memory is that of the calls before: views that were given before go bad.
+        """
+        end = self._base + len(self._view)
+        if self.total is not None and end - offset < AHEAD and end < self.total:
+            self._move(offset, 0, self._memory)
+        return self.some(offset)
+
+    def map_windows(self) -> None:
+        """Map a regular file from now on, instead of reading it: its bytes are not copied."""
+        self._mapped = self.size is not None
+        if self._mapped:
+            self._base, self._view = 0, memoryview(b"")
+
     def stream(self) -> "Stream":
         """Return the bytes as a file to read from its start on."""
         return Stream(self)
 
     def map_whole(self) -> memoryview:
-        """Return the bytes from where the file stood to its end in one piece; if it is mapped."""
+        """Return the bytes from where the file stood to its end in one piece; of a regular file."""
         assert self.size is not None
         if self.size <= self.start:
             return memoryview(b"")  # nothing is there to be mapped
@@ -109,11 +139,11 @@ class Input:
         return memoryview(whole)[self.start :]
 
     def sample(self) -> memoryview:
-        """Return bytes by which to tell what they are: all of a mapped file, else the first."""
+        """Return bytes by which to tell what they are: all of a regular file, else the first."""
         return self.map_whole() if self.size is not None else memoryview(self._head).toreadonly()
 
     def check_size(self) -> None:
-        """Raise OSError if a mapped file is shorter than it was when it was opened."""
+        """Raise OSError if a regular file is shorter than it was when it was opened."""
         assert self.size is not None
         size = os.fstat(self.file.fileno()).st_size
         if size < self.size:
@@ -124,12 +154,15 @@ class Input:
                 self.name,
             )
 
-    def _move(self, offset: int, length: int) -> None:
+    def _move(self, offset: int, length: int, memory: bytearray | None = None) -> None:
         with named(self.name):
             if self.size is None:
                 self._read_on(offset, length)
-            else:
+            elif self._mapped:
                 self._map(self.size, offset, length)
+            else:
+                # Without a memory a new one: the views of the old one are in use.
+                self._read_window(self.size, offset, length, memory or bytearray())
 
     def _map(self, size: int, offset: int, length: int) -> None:
         self.check_size()
@@ -143,6 +176,25 @@ class Input:
                 self.file.fileno(), end - aligned, access=mmap.ACCESS_READ, offset=aligned
             )
             self._view = memoryview(mapped)[place - aligned :]
+
+    def _read_window(self, size: int, offset: int, length: int, memory: bytearray) -> None:
+        """Read a part of the file behind the bytes that are at hand, all of it into one memory."""
+        self.check_size()
+        held = self._view[offset - self._base :]
+        place = self.start + offset
+        end = min(max(place + len(held) + READ, place + length), size)
+        wanted = max(end - place, 0)
+        room = memoryview(memory if len(memory) >= wanted else bytearray(wanted + AHEAD))
+        filled = len(held)
+        room[:filled] = held
+        while filled < wanted:
+            count = _read_at(self.file, room[filled:wanted], place + filled)
+            if not count:
+                self.check_size()
+                break
+            filled += count
+        self._base, self._view = offset, room[:filled].toreadonly()
+        self._memory = cast(bytearray, room.obj)
 
     def _read_on(self, offset: int, length: int) -> None:
         # New memory: the views of the old one are in use.
@@ -172,10 +224,29 @@ class Stream(io.RawIOBase):
 
     def readinto(self, room: memoryview) -> int:  # type: ignore[override]
         """Read the bytes that are at hand; return how many, 0 at the end."""
-        piece = self._source.some(self.bytes_done)[: len(room)]
+        piece = self._source.ahead(self.bytes_done)[: len(room)]
         room[: len(piece)] = piece
         self.bytes_done += len(piece)
         return len(piece)
+
+
+if sys.platform != "win32" and hasattr(os, "preadv"):  # macOS has it from 11 on
+
+    def _read_at(file: BinaryIO, room: memoryview, place: int) -> int:
+        """Read bytes of a regular file from a place on; return how many, 0 at the end."""
+        return os.preadv(file.fileno(), [room], place)
+else:
+
+    def _read_at(file: BinaryIO, room: memoryview, place: int) -> int:
+        """Read bytes of a regular file from a place on; return how many, 0 at the end."""
+        raw = cast(io.FileIO, getattr(file, "raw", file))
+        with _SEEKING:
+            before = raw.tell()
+            try:
+                raw.seek(place)
+                return raw.readinto(room) or 0
+            finally:
+                raw.seek(before)
 
 
 def _check_source(source: object) -> None:

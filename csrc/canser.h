@@ -488,6 +488,42 @@ int canser_times_rank(const int64_t *values, size_t count, size_t rank, canser_r
  * that are equal the first ones come first. Returns as canser_times_rank, or CANSER_RANGE. */
 int canser_times_lowest(const int64_t *values, size_t count, size_t rank, size_t *index);
 
+/* Which blocks of a recording canser_recording_gather() takes. The caller sets the first three
+ * fields; a call goes on with next_id as the call before has left it. */
+typedef struct {
+    uint64_t next_id;         /* of the next block, if nothing is missing before it */
+    uint32_t interface;       /* the number of the interface in the file */
+    uint8_t has_ids;          /* 1: blocks have ids; 0: drop counts instead, in old files */
+    uint32_t crc32s[16][256]; /* private: the CRC32 of a byte with 0 to 15 zeros behind it */
+} canser_recording;
+
+/* What canser_recording_gather() did. */
+typedef struct {
+    size_t used;        /* bytes of the file: where it stopped, between two blocks */
+    size_t byte_count;  /* bytes of the line */
+    size_t piece_count; /* blocks */
+} canser_gathered;
+
+/* Set up what does not change from call to call. Returns CANSER_OK or CANSER_NULL. */
+int canser_recording_init(canser_recording *self);
+
+/* Gather the bytes of the line from the blocks of a recording, one behind the other.
+ *
+ * Takes blocks from data[0] on as long as nothing is unusual about them: a little-endian enhanced
+ * packet block of the interface, with at least one byte, as RecordingWriter writes it; the CRC32
+ * holds, its id is the next one, or where there are no ids its drop count is 0; there is no
+ * comment, and its time is less than 2^63. Stops before any other block, one that is not whole in
+ * data, one whose bytes do not fit into `out`, and where `pieces` is full. It stops before some
+ * block that is good: the caller takes that one by itself.
+ *
+ * pieces[i] has the end of block i's bytes in `out`, and its time. Bytes of `out` past
+ * byte_count may have been written over. Returns CANSER_OK; CANSER_NULL, CANSER_MISALIGNED and
+ * CANSER_OVERLAP before anything was written. An array may be NULL if its length is 0. `*result`
+ * is set on every return on which it is not NULL. */
+int canser_recording_gather(canser_recording *self, const uint8_t *data, size_t data_len,
+                            uint8_t *out, size_t out_cap, canser_piece *pieces, size_t piece_cap,
+                            canser_gathered *result);
+
 /* cffi: end */
 
 #ifdef __cplusplus

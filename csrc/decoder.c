@@ -68,22 +68,6 @@ int canser_decoder_init(canser_decoder *self, const canser_protocol *protocol, i
     return CANSER_OK;
 }
 
-/* A range of memory, to see whether two of them meet. */
-typedef struct {
-    uintptr_t begin, end;
-} span;
-
-static span span_of(const void *p, size_t count, size_t size)
-{
-    const uintptr_t begin = (uintptr_t)p;
-    return (span){begin, p ? begin + count * size : begin};
-}
-
-static bool spans_meet(span a, span b)
-{
-    return a.begin < b.end && b.begin < a.end;
-}
-
 /* Everything that can be wrong with a batch and the input it is to be filled
  * from. Sets the counts to zero. */
 static int check_batch(canser_batch *batch, const uint8_t *data, size_t data_len)

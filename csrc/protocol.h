@@ -131,6 +131,22 @@ CANSER_INLINE bool misaligned(const void *p, size_t alignment)
     return (uintptr_t)p % alignment != 0;
 }
 
+/* A range of memory, to see whether two of them meet. */
+typedef struct {
+    uintptr_t begin, end;
+} span;
+
+CANSER_INLINE span span_of(const void *p, size_t count, size_t size)
+{
+    const uintptr_t begin = (uintptr_t)p;
+    return (span){begin, p ? begin + count * size : begin};
+}
+
+CANSER_INLINE bool spans_meet(span a, span b)
+{
+    return a.begin < b.end && b.begin < a.end;
+}
+
 CANSER_INLINE uint32_t load_le16(const uint8_t *p)
 {
     return (uint32_t)p[0] | (uint32_t)p[1] << 8;

@@ -106,6 +106,14 @@ def test_guard_pages_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
     assert_all_pass(run(build_test(tmp_path, "guard", *debug_flags)))
 
 
+def test_blocks_of_recordings(tmp_path: Path) -> None:
+    assert_all_pass(run(build_test(tmp_path, "recording", *FAST)))
+
+
+def test_blocks_of_recordings_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    assert_all_pass(run(build_test(tmp_path, "recording", *debug_flags)))
+
+
 def test_more_than_4_gib(tmp_path: Path) -> None:
     # It says so where the address space is too small.
     output = run(build_test(tmp_path, "guard", *FAST), "--huge")

@@ -3,13 +3,12 @@
 import io
 from typing import BinaryIO, cast
 
-import hypothesis.strategies as st
 from hypothesis import given
 
 import plain_pcapng
 from canser.errors import RecordingError
 from canser.recording.recovery import recover
-from recordings import EPOCH, MS, Written, line, listed, packets, recorded, spread
+from recordings import EPOCH, MS, damaged_files, line, listed, packets, recorded, spread
 
 
 def test_blocks_of_an_older_recording_are_left_out() -> None:
@@ -123,39 +122,7 @@ def test_a_recording_behind_another_begins_anew() -> None:
     assert remarks == []
 
 
-@st.composite
-def files(draw: st.DrawFn) -> bytes:
-    """Return files as crashes, copies and bad sectors leave them."""
-    raw = b""
-    for _ in range(draw(st.integers(1, 3))):
-        raw += draw(one_file())
-    for _ in range(draw(st.integers(0, 2))):
-        hurt = bytearray(raw)
-        at = draw(st.integers(0, len(raw) - 1))
-        hurt[at] ^= 1 << draw(st.integers(0, 7))
-        raw = bytes(hurt)
-    return raw[: len(raw) - draw(st.sampled_from([0, 0, 0, 1, 40, 300]))]
-
-
-@st.composite
-def one_file(draw: st.DrawFn) -> bytes:
-    """Return a recording, some blocks of which are missing, there twice, or not its own."""
-    told: list[Written] = []
-    for number in range(draw(st.integers(1, 12))):
-        lost = draw(st.sampled_from([0, 0, 0, 1, 500, -1]))
-        data = draw(st.binary(min_size=0 if lost else 1, max_size=30))
-        told.append((data, EPOCH + number * 1000 * MS, lost))
-    mine = line(told)
-    older = line(spread(3, seed=5))
-    blocks = list(mine.blocks)
-    for _ in range(draw(st.integers(0, 4))):
-        at = draw(st.integers(0, len(blocks)))
-        other = draw(st.sampled_from(blocks + older.blocks + [older.header, b"noise", b""]))
-        blocks[at : at + draw(st.integers(0, 2))] = [other]
-    return b"".join([mine.header, *blocks, mine.end])
-
-
-@given(files())
+@given(damaged_files())
 def test_the_repaired_copy_gives_what_the_file_gives(raw: bytes) -> None:
     try:
         want, remarks = listed(raw)

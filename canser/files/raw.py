@@ -63,6 +63,7 @@ class RawReader(Reader):
     decoder: Decoder
 
     def __init__(self, source: Input, options: ReadOptions) -> None:
+        source.map_windows()
         self._source, self._threads = source, options.threads
         self._out, self._offsets = options.out, options.offsets
         name, self.found = choose_protocol(options.protocol, source)

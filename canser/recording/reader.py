@@ -6,13 +6,16 @@ import zlib
 from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple, Self
 
+import numpy as np
+
+from canser._core.blocks import BlockGatherer
 from canser._input import Input, Source
 from canser.errors import RecordingError
 from canser.recording import pcapng
 from canser.recording.header import MARK_MAX, RecordingInfo, interface_mark, read_interface
 from canser.recording.ids import BlockIds, Place, is_id
 from canser.recording.pcapng import Enhanced, Order
-from canser.timing.arrivals import DataBlock
+from canser.timing.arrivals import DataBlock, DataRun
 
 __all__ = ["Recording", "Walk"]
 
@@ -60,6 +63,30 @@ class Recording(Iterator[DataBlock]):
                 return block.piece
         self.close()
         raise StopIteration
+
+    def runs(self, room_bytes: int = 1 << 18) -> Iterator[DataRun]:
+        """Yield the bytes of many blocks at once, of those that nothing is unusual about.
+
+        All others are a run of their own, however long they are. The runs have the bytes, times
+        and gaps of the blocks. Blocks and runs that were given before go bad: their data is good
+        until the next run.
+
+        Parameters
+        ----------
+        room_bytes
+            The most bytes of several blocks in a run. Bytes of a pipe are not waited for to fill
+            it.
+        """
+        gatherer = BlockGatherer(room_bytes)
+        while True:
+            run = self._walk.gather(gatherer)
+            if run is None:
+                block = next(self, None)
+                if block is None:
+                    return
+                ends, times = np.array([[len(block.data)], [block.arrival_ns]], np.int64)
+                run = DataRun(memoryview(block.data), ends, times, block.lost, block.gap)
+            yield run
 
     def __enter__(self) -> Self:
         return self
@@ -123,6 +150,7 @@ class Walk(Iterator[WalkedBlock]):
         self._interfaces = 0  # in the section so far
         self._ours = -1  # the number of our interface in the section
         self._damaged: tuple[int, str] | None = None  # since where, and why
+        self._ended = False
         self._places = 0  # where something was left out
         self._skipped = 0  # blocks that are good and none of ours
         self._ids = BlockIds()
@@ -136,6 +164,21 @@ class Walk(Iterator[WalkedBlock]):
 
     def __next__(self) -> WalkedBlock:
         return next(self._blocks)
+
+    def gather(self, gatherer: BlockGatherer) -> DataRun | None:
+        """Go on behind the next blocks that nothing is unusual about, if there are any."""
+        pending = self._gap or self._lost or self._torn or self._damaged is not None
+        if pending or self._order != "<" or self._ours < 0 or self._ended:
+            return None
+        view = self._input.ahead(self.at)
+        used, data, ends, times = gatherer.gather(view, self._ours, self._ids.next)
+        if not used:
+            return None
+        self.at += used
+        self._line_bytes += len(data)
+        if self._ids.used:
+            self._ids.advance(len(data))
+        return DataRun(data, ends, times)
 
     def find_interface(self) -> RecordingInfo:
         """Go on behind the first interface of ours."""
@@ -165,6 +208,7 @@ class Walk(Iterator[WalkedBlock]):
                 self._enter_piece(block, block.piece)
             self.at += len(block.whole)
             yield block
+        self._ended = True
         if self._damaged is not None:
             self._end_damage("torn tail, left out")
         if self._skipped:

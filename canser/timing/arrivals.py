@@ -7,7 +7,7 @@ import numpy as np
 from canser._core.buffers import Times
 from canser._core.clock import find_arrivals
 
-__all__ = ["Arrivals", "DataBlock", "count_back"]
+__all__ = ["Arrivals", "DataBlock", "DataRun", "count_back"]
 
 # Before all arrivals: the time of the read before the first.
 NEVER_NS: Final = -(2**62)
@@ -36,6 +36,21 @@ class DataBlock(NamedTuple):
     #: Bytes of the line that are lost right before; -1: their number is unknown.
     lost: int = 0
     #: Whether bytes are missing right before, or may be.
+    gap: bool = False
+
+
+class DataRun(NamedTuple):
+    """The bytes of some blocks, one behind the other, with nothing missing between them."""
+
+    #: The bytes, good until the next run; none where bytes were lost that no others followed.
+    data: memoryview
+    #: Where in `data` each block ends: ascending, the last one at its end.
+    ends: Times
+    #: When the last byte of each block had come, in epoch nanoseconds.
+    times: Times
+    #: Bytes of the line that are lost right before `data`; -1: their number is unknown.
+    lost: int = 0
+    #: Whether bytes are missing right before `data`, or may be.
     gap: bool = False
 
 

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Iterable
 from typing import BinaryIO, NamedTuple, cast
 
+import hypothesis.strategies as st
 import numpy as np
 
 import plain_pcapng
@@ -82,10 +83,45 @@ class Line(NamedTuple):
     end: bytes
 
 
-def line(told: list[Written]) -> Line:
-    """Return a recording in which each of these is a block."""
+def line(told: list[Written], *, aged: bool = False) -> Line:
+    """Return a recording in which each of these is a block; `aged`: before blocks had ids."""
     raw = recorded(told, each=True)
+    if aged:
+        raw = plain_pcapng.without_ids(raw)
     _, interface, *_ = whole = plain_pcapng.read(raw)
     cut = [raw[block.offset : block.end] for block in packets(raw)]
     assert len(cut) == len(told)
     return Line(raw[: interface.end], cut, told, raw[whole[-1].offset :])
+
+
+@st.composite
+def damaged_files(draw: st.DrawFn) -> bytes:
+    """Return files as crashes, copies and bad sectors leave them."""
+    raw = b""
+    for _ in range(draw(st.integers(1, 3))):
+        raw += draw(one_file())
+    for _ in range(draw(st.integers(0, 2))):
+        hurt = bytearray(raw)
+        at = draw(st.integers(0, len(raw) - 1))
+        hurt[at] ^= 1 << draw(st.integers(0, 7))
+        raw = bytes(hurt)
+    return raw[: len(raw) - draw(st.sampled_from([0, 0, 0, 1, 40, 300]))]
+
+
+@st.composite
+def one_file(draw: st.DrawFn) -> bytes:
+    """Return a recording, some blocks of which are missing, there twice, or not its own."""
+    told: list[Written] = []
+    for number in range(draw(st.integers(1, 12))):
+        lost = draw(st.sampled_from([0, 0, 0, 1, 500, -1]))
+        data = draw(st.binary(min_size=0 if lost else 1, max_size=30))
+        told.append((data, EPOCH + number * 1000 * MS, lost))
+    mine = line(told, aged=draw(st.sampled_from([False, False, True])))
+    older = line(spread(3, seed=5))
+    blocks = list(mine.blocks)
+    for _ in range(draw(st.integers(0, 4))):
+        at = draw(st.integers(0, len(blocks)))
+        strange = [older.header, draw(st.sampled_from([b"", bytes(12), b"\0" * 32]))]
+        other = draw(st.sampled_from([*blocks, *older.blocks, *strange]))
+        blocks[at : at + draw(st.integers(0, 2))] = [other]
+    return b"".join([mine.header, *blocks, mine.end])
