@@ -88,10 +88,10 @@ def test_turns_against_plain_python(
     tick_ns, host = TICK[unit], EPOCH
     plain = PlainTurns(tick_ns)
     hosts, given_times, want = [], [], []
-    for number, (step, raw) in enumerate(frames):
+    for number, (step, drawn) in enumerate(frames):
         host = min(host + step, 2**63 - 1)
         # What the counter says at this time, if it is not any value.
-        raw = (host // tick_ns + 12345) % TURN if raw is None else raw
+        raw = (host // tick_ns + 12345) % TURN if drawn is None else drawn
         hosts.append(host)
         # A decoder may be any turns off, and times in seconds are taken modulo 2^64 by it.
         given_times.append(wrapped((raw + (turn + number % 3) * TURN) * tick_ns))
@@ -150,7 +150,9 @@ def steady(seconds: float, rate: float, seed: int = 1) -> Times:
 
 
 def off(times: Times, truth: Times) -> npt.NDArray[np.float64]:
-    return np.abs(times - truth) / MS
+    """Return by how many milliseconds times are wrong."""
+    milliseconds: npt.NDArray[np.float64] = np.abs(times - truth) / MS
+    return milliseconds
 
 
 @pytest.mark.parametrize("false_count", [4, 40])
