@@ -19,11 +19,16 @@ static int64_t subtract(int64_t a, int64_t b)
     return (int64_t)((uint64_t)a - (uint64_t)b);
 }
 
-/* What so many bytes take, rounded down; not more than a word holds. */
+/* Rounded towards zero; not more than a word holds. */
+static int64_t whole(double value)
+{
+    return value < 0x1p63 ? (int64_t)value : INT64_MAX;
+}
+
+/* What so many bytes take. */
 static int64_t line_time(int64_t bytes, double byte_ns)
 {
-    const double ns = (double)bytes * byte_ns;
-    return ns < 0x1p63 ? (int64_t)ns : INT64_MAX;
+    return whole((double)bytes * byte_ns);
 }
 
 int canser_times_arrivals(const canser_piece *pieces, size_t piece_count, double byte_ns,
@@ -86,7 +91,7 @@ static uint32_t counter_of(int64_t time, tick_unit unit)
  * step. */
 static uint64_t expect_ticks(const canser_reading *reading, int64_t host, double per_tick)
 {
-    return reading->ticks + (uint64_t)(int64_t)((double)subtract(host, reading->host) * per_tick);
+    return reading->ticks + (uint64_t)whole((double)subtract(host, reading->host) * per_tick);
 }
 
 /* The value nearest to `expected` at which a counter shows `raw`. */

@@ -156,6 +156,16 @@ def test_wraps_and_steps_back_of_the_device_clock_are_told() -> None:
     assert named("clock", lines) == "clock      wraps 1, steps back 1"
 
 
+def test_uncertain_steps_back_of_a_clock_in_line_are_told() -> None:
+    # A restart, a step back that is small, and one from a clock that is not in line again.
+    times = [2**25 + k for k in range(17)] + [0, *range(2, 20), 5, 6, 2**25, 7]
+    decoder = canser.Decoder("serial")
+    frames = decoder.feed(canser.encode(timed(*(ms * MILLISECOND for ms in times)), "serial"))
+    assert named("clock", info(frames, decoder)) == (
+        "clock      wraps 0, steps back 3, of these uncertain 1"
+    )
+
+
 def test_a_ranking_has_a_row_for_each_protocol_the_best_first() -> None:
     raw = canser.encode(vehicle(1), "serial")
     fits = canser.identify(raw)

@@ -445,6 +445,75 @@ def test_it_does_not_matter_how_calls_are_cut(clocked: bool, batch: int) -> None
     assert np.array_equal(times, wanted)
 
 
+# A line that has no bit rate of its own: bytes come at once, and byte_ns says something else.
+
+
+def send_at_once(truth: Times, reads: Times) -> Stream:
+    """Send frames of 16 bytes that are there at once; those of equal `reads` come in one read.
+
+    The host reads them 0.2 ms after the last of them.
+    """
+    size = 16
+    offsets = np.arange(len(truth)) * size
+    last = np.flatnonzero(np.diff(reads, append=reads[-1] + 1))
+    read_at = truth[last] + MS // 5
+    read = read_at[np.searchsorted(last, np.arange(len(truth)))]
+    pieces = list(zip(((last + 1) * size).tolist(), read_at.tolist(), strict=True))
+    lasts = offsets + size - 1
+    return Stream(truth, offsets, lasts, len(truth) * size, truth + MS // 5, read, pieces)
+
+
+def with_bursts(at: list[float], silence: float) -> tuple[Stream, npt.NDArray[np.bool_]]:
+    """Send a frame each 10 ms, and at some seconds a burst of 30 that come in one read.
+
+    Before each burst nothing is sent for `silence` seconds. Returns also which frames are a
+    burst's.
+    """
+    bursts = [EPOCH + round(second * S) + k * US * 250 for second in at for k in range(30)]
+    single = EPOCH + np.arange(0, 300 * S, 10 * MS)
+    for second in at:
+        from_burst = single - EPOCH - round(second * S)
+        single = single[(from_burst < -silence * S) | (from_burst > 8 * MS)]
+    times = np.append(single, np.array(bursts, np.int64))
+    order = np.argsort(times, kind="stable")
+    reads = np.append(np.arange(len(single)), len(single) + np.arange(len(bursts)) // 30)[order]
+    return send_at_once(times[order], reads), order >= len(single)
+
+
+@pytest.mark.parametrize("unit", ["ms", "us"])
+@pytest.mark.parametrize("silence", [0, 1])
+@pytest.mark.parametrize(
+    "at",
+    [
+        [0.3],
+        [60],
+        [60.5, 61.5],
+        [60 * minute + k / 3 for minute in range(1, 5) for k in range(3)],
+        [60 + 0.4 * k for k in range(100)],
+    ],
+    ids=["at the start", "one", "in two seconds", "three a minute", "again and again"],
+)
+def test_a_burst_spoils_its_own_frames_only(at: list[float], silence: float, unit: str) -> None:
+    stream, own = with_bursts(at, min(silence, 1 if len(at) < 3 else 0.25))
+    times, clock = timed(stream, ticks(stream.truth, unit))
+    assert np.abs((times - stream.truth)[~own]).max() <= 2 * MS
+    assert known(clock).restarts == 0
+    # As without a clock.
+    times, _ = timed(stream)
+    assert np.abs((times - stream.done)[~own]).max() <= 2 * MS
+
+
+@pytest.mark.parametrize("clocked", [False, True])
+@pytest.mark.parametrize("rate", [20_000, 100_000])
+def test_a_line_that_is_faster_than_its_rate(rate: int, clocked: bool) -> None:
+    # 16 bytes a frame, evenly, for five minutes; the host reads every millisecond.
+    truth = EPOCH + np.arange(300 * rate // 16) * (16 * S // rate)
+    stream = send_at_once(truth, truth // MS)
+    times, clock = timed(stream, ticks(truth, "us") if clocked else None)
+    assert np.abs((times - truth)[after(stream, 1)]).max() <= 2 * MS
+    assert clock.arrivals.unrated_from is not None
+
+
 STEPS = st.integers(0, 10**11) | st.sampled_from([0, MS, S])
 
 

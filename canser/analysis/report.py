@@ -87,7 +87,8 @@ def stats_lines(stats: Stats, controls: Sequence[Control]) -> Iterator[str]:
     if stats.bytes_skipped:
         yield f"skipped    {reject_text(stats)}"
     if stats.ts_wraps or stats.ts_backsteps:
-        yield f"clock      wraps {stats.ts_wraps:,}, steps back {stats.ts_backsteps:,}"
+        text = f"clock      wraps {stats.ts_wraps:,}, steps back {stats.ts_backsteps:,}"
+        yield text + (f", of these uncertain {stats.ts_uncertain:,}" if stats.ts_uncertain else "")
     yield f"controls   {stats.controls:,}"
     for control in controls[:4]:
         yield f"           at {control.offset:,}: {control.data.hex(' ').upper()}"

@@ -60,8 +60,9 @@ class Stats:
     pending: int  # bytes held: the start of a packet that is not whole yet
     ts_wraps: int  # steps of the device clock forward through zero
     ts_backsteps: int  # steps of the device clock back: a restart, or false frames
-    # Of these, those of more than 2**24 ticks from a clock in line: a restart, a silence of more
-    # than half a turn of the counter, or a false frame. They cannot be told apart.
+    # Of these, those of more than 2**24 ticks from a clock in line, one that made 16 small steps
+    # forward: a restart, a silence of more than half a turn of the counter, or a false time. They
+    # cannot be told apart, and all times from there on may be whole turns off.
     ts_uncertain: int
 
     def __post_init__(self) -> None:
@@ -85,6 +86,16 @@ class Decoder(Uncopied):
     `protocol`: a name of `protocols()` or an accepted spelling. `ts_unit`: the unit
     of the device's timestamps, "s", "ms", "us" or "ns"; the wire does not tell it,
     and a protocol without a clock does not use it. ValueError for an unknown one.
+
+    A device's clock is a counter of 32 bits, which the decoder unwraps by the bytes alone: each
+    step is the shorter way round. A false time out of noise spoils its own frame only. But all
+    times behind it may be whole turns off (a turn: 49.7 days of "ms", 71.6 minutes of "us")
+
+    - behind 4 false times in a row, or 2 before the clock has made 16 small steps forward;
+    - behind a silence of more than half a turn, which reads as a step back.
+
+    `Stats.ts_uncertain` counts where that may be. Frames of a port and of a recording come with
+    the host's time: there neither happens.
 
     Sans-I/O. It does not matter how the stream is cut. Two threads may share a
     decoder: they wait for each other. C works without the GIL, so decoders in

@@ -18,9 +18,6 @@ __all__ = ["RecordedFrames"]
 # the allocator keeps them (fresh pages cost more than the times).
 _TIMED_AT_ONCE = 4096
 
-# Pieces smaller than this are decoded together: a call costs as much as a copy of so many bytes.
-_SMALL = 1 << 14
-
 # The first bytes of the line that are kept.
 _HEAD_LEN = 1 << 16
 
@@ -47,8 +44,6 @@ class RecordedFrames:
             raise RecordingError(f"the recording says {error}") from None
         self._loop = TimedDecoder(self.decoder, self.info.byte_ns, recorded=True)
         self._gaps = self._bytes_lost = self._unknown = 0
-        # Of the bytes that are to be decoded next: sizes of pieces, and when they came.
-        self._arrivals: list[tuple[int, int]] = []
         self._out: FrameArray = np.empty(0, FRAME_DTYPE)  # the array that is being filled
 
     @property
@@ -81,11 +76,14 @@ class RecordedFrames:
         self._loop.use(self._out)
 
     def line_bytes(self) -> Iterator[memoryview]:
-        """Yield the bytes of the line as they were recorded; nothing is decoded."""
-        for piece in self._recording:
-            if piece.gap:
-                self._count_gap(piece.lost)
-            yield memoryview(piece.data)
+        """Yield the bytes of the line as they were recorded, each good until the next.
+
+        Nothing is decoded.
+        """
+        for run in self._recording.runs():
+            if run.gap:
+                self._count_gap(run.lost)
+            yield run.data
 
     def run(
         self, room: Callable[[], tuple[FrameArray, Offsets | None]]
@@ -93,20 +91,24 @@ class RecordedFrames:
         """Yield arrays and how many frames are in each; `room` makes them, and their offsets."""
         loop = self._loop
         self._take(room)
-        for data, after_gap in self._joined():
-            if after_gap:
+        for run in self._recording.runs():
+            if run.gap:
+                self._count_gap(run.lost)
                 # Only what came before the gap is held: it will never be whole.
                 yield from self._flush(room)
                 loop.gap()
-            self._arrive()
-            done, size = 0, len(data)
+            loop.clock.arrivals.extend(run.ends + self.decoder.position, run.times)
+            if len(self.head) < _HEAD_LEN:
+                self.head += run.data[: _HEAD_LEN - len(self.head)]
+            done, size = 0, len(run.data)
             while done < size:
-                done += loop.feed(data[done:] if done else data, len(self._out))
+                most = min(loop.count + _TIMED_AT_ONCE, len(self._out))
+                done += loop.feed(run.data[done:], most)
+                if loop.untimed >= _TIMED_AT_ONCE:
+                    loop.assign_times()
                 if loop.count == len(self._out):
                     yield self._hand_over()
                     self._take(room)
-            if loop.untimed >= _TIMED_AT_ONCE:
-                loop.assign_times()
             if self._live and loop.count:
                 yield self._hand_over()
                 self._take(room)
@@ -114,37 +116,6 @@ class RecordedFrames:
         if loop.count:
             yield self._hand_over()
         self._let_go()
-
-    def _joined(self) -> Iterator[tuple[memoryview | bytes, bool]]:
-        """Yield bytes to decode, small pieces as one, and whether there is a gap before them."""
-        small: list[memoryview | bytes] = []
-        size, after_gap = 0, False
-        for piece in self._recording:
-            large = len(piece.data) >= _SMALL
-            if small and (piece.gap or large or size >= _SMALL):
-                yield b"".join(small), after_gap
-                small, size, after_gap = [], 0, False
-            if piece.gap:
-                self._count_gap(piece.lost)
-            self._arrivals.append((len(piece.data), piece.arrival_ns))
-            if len(self.head) < _HEAD_LEN:
-                self.head += piece.data[: _HEAD_LEN - len(self.head)]
-            if large or self._live:
-                yield piece.data, piece.gap
-            else:
-                small.append(piece.data)
-                size += len(piece.data)
-                after_gap |= piece.gap
-        if small:
-            yield b"".join(small), after_gap
-
-    def _arrive(self) -> None:
-        """Tell when the bytes came that are to be decoded next."""
-        end = self.decoder.position
-        for size, ns in self._arrivals:
-            end += size
-            self._loop.clock.arrivals.add(end, ns)
-        self._arrivals.clear()
 
     def _flush(
         self, room: Callable[[], tuple[FrameArray, Offsets | None]]

@@ -12,15 +12,18 @@ __all__ = ["Arrivals", "DataBlock", "DataRun", "count_back"]
 # Before all arrivals: the time of the read before the first.
 NEVER_NS: Final = -(2**62)
 
-# A line has no bit rate of its own if its bytes come faster than the rate says by this, in time
-# of the line, as a bucket counts that leaks at the rate. Bytes of a line that keeps its rate
-# fill it only by what was stamped too late: the time that this process waited between a read and
-# the look at the clock, mostly for Python's lock.
+# A line has no bit rate of its own if since some read more bytes came than it says, by as much in
+# time of the line. That read may have been stamped too late by that: the time that this process
+# waited between a read and the look at the clock, mostly for Python's lock.
 _EXCESS_NS: Final = 100_000_000
 
-# Reads that follow each other as fast take what the system had held: a terminal gives 4 KB a read.
-# Their bytes may all have come since the read before them.
-_DRAIN_NS: Final = 500_000
+# A read that holds less than could have come since the one before has emptied what the system
+# held. Others may take what was there before: since when is not known at the start and behind a
+# gap, but 64 KiB, as much as a system holds, take 6 s at 115,200 baud.
+_HELD_NS: Final = 10_000_000_000
+
+# Bit rates are off by some percent: 2.1 where a clock of 16 MHz makes 115,200 baud.
+_RATE_SLACK: Final = 0.97
 
 # So many reads are looked at one by one.
 _FEW: Final = 4
@@ -75,6 +78,7 @@ class Arrivals:
 
     def __init__(self, byte_ns: float, *, keeps_rate: bool = False) -> None:
         self._byte_ns, self._keeps_rate = byte_ns, keeps_rate
+        self._least_ns = byte_ns * _RATE_SLACK
         # The offset behind each read, and its time. The first one holds no byte that is still
         # asked for: it tells when the next one began.
         self._rows = np.empty((64, 2), np.int64)
@@ -82,8 +86,9 @@ class Arrivals:
         self._rows[0] = 0, NEVER_NS
         #: The offset behind all that has arrived, and when the last of it had.
         self.end, self.last_ns = 0, NEVER_NS
-        self._excess_ns = 0.0
-        self._starts = True  # nothing is known of when the next read may have begun
+        # By how much more time bytes took than there was, since the read for which that is most;
+        # less than zero where more may have been held.
+        self._excess_ns = -_HELD_NS
         self.unrated_from: int | None = None  # the offset from which on nothing is counted back
 
     def add(self, end: int, ns: int) -> None:
@@ -100,23 +105,18 @@ class Arrivals:
         self.end, self.last_ns = end, ns
         if self.unrated_from is not None or self._keeps_rate:
             return
-        if self._starts:
-            self._starts = False
-            return
-        if ns - before_ns > _DRAIN_NS:
-            self._excess_ns = max(self._excess_ns, 0.0)
-        self._excess_ns += (end - before_end) * self._byte_ns - (ns - before_ns)
+        step = max(int((end - before_end) * self._least_ns) - (ns - before_ns), -_HELD_NS)
+        if step < 0:
+            self._excess_ns = max(self._excess_ns, 0)
+        self._excess_ns += step
         if self._excess_ns > _EXCESS_NS:
             self.unrated_from = before_end
 
     def extend(self, ends: Times, times: Times) -> None:
         """Take note of several reads, as `add` does of one."""
-        if not len(ends):
-            return
-        if self._starts:
-            self.add(int(ends[0]), int(times[0]))
-            ends, times = ends[1:], times[1:]
         count = len(ends)
+        if not count:
+            return
         if len(self._rows) - self._end < count:
             self._make_room(count)
         rows = self._rows[self._end - 1 : self._end + count]
@@ -125,22 +125,23 @@ class Arrivals:
         np.maximum.accumulate(rows[:, 1], out=rows[:, 1])
         self._end += count
         self.end, self.last_ns = rows[-1].tolist()
-        if self.unrated_from is not None or self._keeps_rate or not count:
+        if self.unrated_from is not None or self._keeps_rate:
             return
-        # What `add` does one by one: a sum that is raised to zero wherever time has passed.
-        steps = np.diff(rows, axis=0)
-        total = self._excess_ns + np.cumsum(steps[:, 0] * self._byte_ns - steps[:, 1])
+        # What `add` does one by one: a sum that is raised to zero before each step down.
+        sizes, spans = np.diff(rows, axis=0).T
+        steps = np.maximum((sizes * self._least_ns).astype(np.int64) - spans, -_HELD_NS)
+        total = self._excess_ns + np.cumsum(steps)
         before = np.append(self._excess_ns, total[:-1])
-        raised = np.where(steps[:, 1] > _DRAIN_NS, np.minimum(before, 0.0), 0.0)
+        raised = np.where(steps < 0, np.minimum(before, 0), 0)
         excess = total - np.minimum.accumulate(raised)
         over = np.flatnonzero(excess > _EXCESS_NS)
         if len(over):
             self.unrated_from = int(rows[over[0], 0])
-        self._excess_ns = float(excess[-1])
+        self._excess_ns = int(excess[-1])
 
     def gap(self) -> None:
         """Take note that the stream was interrupted: the next read may hold bytes of any age."""
-        self._excess_ns, self._starts = 0.0, True
+        self._excess_ns = -_HELD_NS
 
     def find(self, at: Times, times: Times) -> None:
         """Set `times` to when the bytes at these offsets had come; they are in ascending order."""

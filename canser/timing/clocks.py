@@ -35,6 +35,7 @@ estimate, and late frames do not matter to it:
 - The points start over when half a minute of them lies 20 ms above the line: the device's clock
   had stood still. And so they do at a *restart*: a bucket whose device times lie before those
   of the bucket before, or more than a minute off the line.
+- A silence of ten minutes, too, starts it over: the line does not reach so far.
 - To have an estimate after a few frames, the buckets of the first second are of 4 samples, then
   of as many as there have been; and so again after a gap.
 
@@ -94,6 +95,9 @@ _LONGEST_QUEUE_UNPROVEN_NS: Final = 2 * _S_NS
 _BUCKET_NS: Final = _S_NS
 _BUCKET_SAMPLES: Final = 8  # at least; the third lowest of fewer is no low one
 _FIRST_SAMPLES: Final = 4
+
+# Over this time a slope that is off by 5 ppm, as of ticks of a millisecond, makes 3 ms.
+_SILENCE_NS: Final = 600 * _S_NS
 
 _WINDOW_POINTS: Final = 300  # five minutes of a busy bus, in which crystals are steady
 _STUCK_POINTS: Final = 30  # in a row above the line: no queue lasts as long
@@ -161,7 +165,8 @@ class FrameClock:
         self._turns = None if tick_ns is None else ClockTurns(tick_ns)
         self._clock = None if tick_ns is None or device_time else _DeviceClock()
         self._device_time = device_time
-        self._relearns = False  # the line had no bit rate of its own: the clock was told
+        self._relearned = False  # since it is known that the line has no bit rate of its own
+        self._arrived = NEVER_NS  # when the last frame had come
         self._times = np.empty((2, 0), np.int64)
 
     @property
@@ -220,16 +225,26 @@ class FrameClock:
     def _map(self, clock: "_DeviceClock", at: Times, device: Times, times: Times) -> None:
         """Turn arrivals into host times."""
         pieces, begin = self.arrivals.pieces, 0
-        unrated = self.arrivals.unrated_from
-        if unrated is not None and not self._relearns:
-            begin = int(at.searchsorted(unrated))
-            clock.follow(pieces, at[:begin], device[:begin], times[:begin])
-            if begin == len(at):
-                return
-            # What was learned from arrivals that were counted back may be too early.
-            self._relearns = True
+        for border in self._find_borders(at, times):
+            clock.follow(pieces, at[begin:border], device[begin:border], times[begin:border])
             clock.relearn()
+            begin = border
         clock.follow(pieces, at[begin:], device[begin:], times[begin:])
+
+    def _find_borders(self, at: Times, times: Times) -> list[int]:
+        """Return before which frames the estimate of the clock starts over, by their arrivals."""
+        borders = set()
+        if times[0] - self._arrived > _SILENCE_NS:
+            borders.add(0)
+        if times[-1] - times[0] > _SILENCE_NS:
+            borders.update((np.flatnonzero(np.diff(times) > _SILENCE_NS) + 1).tolist())
+        self._arrived = int(times[-1])
+        unrated = self.arrivals.unrated_from
+        if unrated is not None and not self._relearned and at[-1] >= unrated:
+            # What was learned from arrivals that were counted back may be too early.
+            self._relearned = True
+            borders.add(int(at.searchsorted(unrated)))
+        return sorted(borders)
 
 
 class _Bucket:

@@ -1652,6 +1652,12 @@ static uint64_t turn_near(uint64_t ticks, uint64_t expected)
     return near;
 }
 
+static uint64_t plain_ticks(int64_t ns, double per_tick)
+{
+    const double ticks = (double)ns * per_tick;
+    return ticks >= 9223372036854775808.0 ? INT64_MAX : (uint64_t)(int64_t)ticks;
+}
+
 static bool within_step(uint64_t a, uint64_t b)
 {
     return a - b <= UINT64_C(1) << 24 || b - a <= UINT64_C(1) << 24;
@@ -1677,8 +1683,8 @@ static void check_turns(const int64_t *arrivals, size_t count)
         uint64_t expected = known.ticks, follows = last.ticks, found;
 
         given[i] = wrap(ticks * (uint64_t)tick_ns);
-        expected += (uint64_t)(int64_t)((double)less(host, known.host) * per_tick);
-        follows += (uint64_t)(int64_t)((double)less(host, last.host) * per_tick);
+        expected += plain_ticks(less(host, known.host), per_tick);
+        follows += plain_ticks(less(host, last.host), per_tick);
         found = turn_near(ticks, expected);
         if (!i) {
             found = ticks % (UINT64_C(1) << 32);
