@@ -11,8 +11,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from canser.recording.header import RecordingInfo
-from canser.recording.writer import RecordingWriter
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,6 +19,8 @@ from canser._core.buffers import Times
 from canser._core.clock import ClockTurns
 from canser._frames import FRAME_DTYPE
 from canser.live import ports
+from canser.recording.header import RecordingInfo
+from canser.recording.writer import RecordingWriter
 from canser.timing.loop import TimedDecoder
 from readers import collect, plugged
 
