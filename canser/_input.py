@@ -230,23 +230,25 @@ class Stream(io.RawIOBase):
         return len(piece)
 
 
+def _read_by_seeking(file: BinaryIO, room: memoryview, place: int) -> int:
+    """Read bytes of a regular file from a place on; return how many, 0 at the end."""
+    raw = cast(io.FileIO, getattr(file, "raw", file))
+    with _SEEKING:
+        before = raw.tell()
+        try:
+            raw.seek(place)
+            return raw.readinto(room) or 0
+        finally:
+            raw.seek(before)
+
+
 if sys.platform != "win32" and hasattr(os, "preadv"):  # macOS has it from 11 on
 
     def _read_at(file: BinaryIO, room: memoryview, place: int) -> int:
         """Read bytes of a regular file from a place on; return how many, 0 at the end."""
         return os.preadv(file.fileno(), [room], place)
 else:
-
-    def _read_at(file: BinaryIO, room: memoryview, place: int) -> int:
-        """Read bytes of a regular file from a place on; return how many, 0 at the end."""
-        raw = cast(io.FileIO, getattr(file, "raw", file))
-        with _SEEKING:
-            before = raw.tell()
-            try:
-                raw.seek(place)
-                return raw.readinto(room) or 0
-            finally:
-                raw.seek(before)
+    _read_at = _read_by_seeking
 
 
 def _check_source(source: object) -> None:

@@ -137,6 +137,23 @@ def test_parts_of_a_block_are_waited_for() -> None:
     assert blocks == [(*one, False) for one in told]
 
 
+@pytest.mark.parametrize("way", ["_read_at", "_read_by_seeking"])
+def test_reading_leaves_a_file_where_it_stands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: str
+) -> None:
+    monkeypatch.setattr(_input, "_read_at", getattr(_input, way))
+    monkeypatch.setattr(_input, "READ", 200)
+    monkeypatch.setattr(_input, "AHEAD", 100)
+    path = tmp_path / "run.pcapng"
+    path.write_bytes(b"before!" + recorded(spread(9)))
+    want = [(*one, False) for one in spread(9)]
+    for buffering in (0, -1):
+        with path.open("rb", buffering=buffering) as file:
+            assert file.read(7) == b"before!"
+            assert listed_by_runs(file, 1 << 18)[:2] == (want, [])
+            assert file.tell() == 7
+
+
 CUTTER = """
 import os, sys
 from canser.recording.reader import Recording
