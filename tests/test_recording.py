@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO, cast
@@ -27,53 +27,7 @@ from canser.recording.reader import Recording
 from canser.recording.recovery import recover
 from canser.recording.writer import RecordingWriter
 from canser.timing.arrivals import DataBlock
-
-INFO = RecordingInfo("seeed", 2_000_000, 500_000, "us", "/dev/ttyUSB0")
-EPOCH = 1_700_000_000_123_456_789
-MS = 1_000_000
-BYTE = 5_000  # nanoseconds on the line of INFO
-
-# A piece as it is written: bytes, arrival, bytes lost before it.
-Written = tuple[bytes, int, int]
-# A piece as it is read: bytes, arrival, lost, gap.
-Got = tuple[bytes, int, int, bool]
-
-
-def recorded(pieces: Iterable[Written], info: RecordingInfo = INFO, *, close: bool = True) -> bytes:
-    """Return the file of these pieces."""
-    reader, writer = os.pipe()
-    parts: list[bytes] = []
-    thread = threading.Thread(
-        target=lambda: parts.extend(iter(lambda: os.read(reader, 1 << 16), b""))
-    )
-    thread.start()
-    with open(writer, "wb", buffering=0) as file:  # noqa: PTH123
-        target = RecordingWriter(cast(BinaryIO, file), info)
-        for piece in pieces:
-            target.write(*piece)
-        if close:
-            target.close()
-        else:
-            target.sync()
-    thread.join()
-    os.close(reader)
-    return b"".join(parts)
-
-
-def listed(raw: bytes) -> tuple[list[Got], list[str]]:
-    """Return the pieces of a file, and what is remarked."""
-    with Recording(cast(BinaryIO, io.BytesIO(raw))) as got:
-        pieces = [(bytes(data), ts, lost, gap) for data, ts, lost, gap in got]
-        return pieces, got.remarks
-
-
-def spread(count: int, seed: int = 1) -> list[Written]:
-    """Return pieces that are each a block: a second apart, of 1 to 39 bytes."""
-    rng = np.random.default_rng(seed)
-    return [
-        (rng.bytes(int(rng.integers(1, 40))), EPOCH + second * 1000 * MS, 0)
-        for second in range(count)
-    ]
+from recordings import BYTE, EPOCH, INFO, MS, Got, listed, packets, recorded, spread
 
 
 def test_the_file_is_what_the_standard_says() -> None:
@@ -88,18 +42,24 @@ def test_the_file_is_what_the_standard_says() -> None:
     assert interface.number(0, 2) == 147
     told = interface.options(8)
     assert told[2] == b"/dev/ttyUSB0"
-    assert told[3] == b"canser: protocol=seeed baudrate=2000000 bitrate=500000 ts_unit=us"
+    words, _, base_word = told[3].partition(b" base=")
+    assert words == b"canser: protocol=seeed baudrate=2000000 bitrate=500000 ts_unit=us"
+    base = int(base_word[:16], 16)
+    assert base < 1 << 62
+    assert base_word[16:] == b"%08x" % zlib.crc32(base_word[:16])
     assert int.from_bytes(told[8], "little") == 2_000_000
     assert told[9] == b"\x09"
     seen = []
     for block in packets:
         options = block.packet_options
         assert options[3] == b"\x02" + zlib.crc32(block.packet).to_bytes(4, "little")
-        seen.append((block.packet, block.ts, int.from_bytes(options[4], "little")))
+        packet_id = int.from_bytes(options[5], "little") - base
+        dropped = int.from_bytes(options.get(4, b""), "little")
+        seen.append((block.packet, block.ts, dropped, packet_id))
     assert seen == [
-        (b"abcde", EPOCH, 0),
-        (b"fg", EPOCH + 9, 300),
-        (b"hijk", EPOCH + 10**9, 2**64 - 1),
+        (b"abcde", EPOCH, 0, 0),
+        (b"fg", EPOCH + 9, 300, 305),
+        (b"hijk", EPOCH + 10**9, 2**64 - 1, 307 + (1 << 32)),
     ]
     assert statistics.kind == plain_pcapng.STATISTICS
     counts = statistics.options(12)
@@ -272,9 +232,69 @@ def test_a_loss_lies_between_two_blocks() -> None:
         (b"d", EPOCH + 4, 5, True),
         (b"e", EPOCH + 5, -1, True),
         (b"f", EPOCH + 7, -1, True),
+        (b"", EPOCH + 8, 9, True),
     ]
     *_, statistics = plain_pcapng.read(raw)
     assert int.from_bytes(statistics.options(12)[5], "little") == 7 + 5 + 5 + 9
+
+
+@pytest.mark.parametrize("lost", [9, -1])
+def test_lost_bytes_that_no_bytes_follow_are_in_the_file(tmp_path: Path, lost: int) -> None:
+    path = tmp_path / "run.pcapng"
+    with RecordingWriter(path, INFO) as writer:
+        writer.write(b"abc", EPOCH)
+        writer.write(b"", EPOCH + MS, lost)
+        writer.sync()
+        assert listed(path.read_bytes())[0][1:] == [(b"", EPOCH + MS, lost, True)]
+        writer.write(b"def", EPOCH + 2 * MS)
+        writer.write(b"", EPOCH + 3 * MS, 1)
+    assert listed(path.read_bytes()) == (
+        [
+            (b"abc", EPOCH, 0, False),
+            (b"", EPOCH + MS, lost, True),
+            (b"def", EPOCH + 2 * MS, 0, False),
+            (b"", EPOCH + 3 * MS, 1, True),
+        ],
+        [],
+    )
+    counts = plain_pcapng.read(path.read_bytes())[-1].options(12)
+    assert int.from_bytes(counts[4], "little") == writer.bytes_written == 6
+    assert int.from_bytes(counts[5], "little") == max(lost, 0) + 1
+
+
+def test_notes_lie_between_the_bytes(tmp_path: Path) -> None:
+    path = tmp_path / "run.pcapng"
+    with RecordingWriter(path, INFO) as writer:
+        writer.write(b"abc", EPOCH)
+        writer.note("the clock was set: é", EPOCH + 1)
+        writer.note("and\nagain\x1b", EPOCH + 2)
+        writer.write(b"defg", EPOCH + 3, 5)
+        writer.note("the end", EPOCH + 4)
+        with pytest.raises(ValueError, match="the note has 65,536 bytes; 65,535 are possible"):
+            writer.note("é" * (1 << 15), EPOCH + 5)
+    raw = path.read_bytes()
+    assert packets(raw)[-1].packet_options[1] == b"the end"
+    pieces, remarks = listed(raw)
+    assert pieces == [(b"abc", EPOCH, 0, False), (b"defg", EPOCH + 3, 5, True)]
+    assert remarks == [
+        "note at byte 3 of the line: the clock was set: é",
+        "note at byte 3 of the line: and again",
+        "note at byte 7 of the line: the end",
+    ]
+    with pytest.raises(ValueError, match="closed"):
+        writer.note("too late", EPOCH + 6)
+
+
+def test_of_many_notes_not_every_one_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "run.pcapng"
+    with RecordingWriter(path, INFO) as writer:
+        for number in range(30):
+            writer.note(f"note {number}", EPOCH + number)
+            writer.write(b"x", EPOCH + number)
+    pieces, remarks = listed(path.read_bytes())
+    assert len(pieces) == 30
+    assert len(remarks) == 21
+    assert remarks[-1] == "more notes are in the file, and not given one by one"
 
 
 def test_poll_closes_a_chunk_that_is_old(tmp_path: Path) -> None:
@@ -488,10 +508,6 @@ def test_a_full_device_is_told() -> None:
 # Damage.
 
 
-def packets(raw: bytes) -> list[plain_pcapng.Block]:
-    return [block for block in plain_pcapng.read(raw) if block.kind == plain_pcapng.PACKET]
-
-
 def test_every_length_of_a_torn_file_gives_its_whole_blocks() -> None:
     raw = recorded(spread(6))
     whole = plain_pcapng.read(raw)
@@ -525,12 +541,22 @@ def test_a_tail_of_zeros_is_left_out(tail: int) -> None:
     ]
 
 
+@pytest.mark.parametrize("aged", [False, True])
 @pytest.mark.parametrize("mask", [0x01, 0x80, 0xFF, 0x07])
-def test_a_flipped_byte_never_gives_wrong_bytes(mask: int) -> None:
+def test_a_flipped_byte_never_gives_wrong_bytes(mask: int, aged: bool) -> None:
     raw = recorded([*spread(4), (b"behind a gap", EPOCH + 10**10, 77)])
+    if aged:
+        raw = plain_pcapng.without_ids(raw)
     want = listed(raw)[0]
     times = {at for block in packets(raw) for at in range(block.offset + 12, block.offset + 20)}
-    drops = {at for block in packets(raw) for at in range(block.end - 16, block.end - 8)}
+    # The last options are the drop count, where it is written, and the id.
+    numbers = {at for block in packets(raw) for at in range(block.end - 16, block.end - 8)}
+    drops = set(range(packets(raw)[-1].end - 28, packets(raw)[-1].end - 20))
+    ids: set[int] = set()
+    if aged:
+        drops = numbers
+    else:
+        ids = numbers
     interface = plain_pcapng.read(raw)[1]
     told = range(interface.offset, interface.end)
     hurt = 0
@@ -547,6 +573,16 @@ def test_a_flipped_byte_never_gives_wrong_bytes(mask: int) -> None:
             assert [piece[0] for piece in pieces] == [piece[0] for piece in want] or remarks
             assert {piece[0] for piece in pieces} <= {piece[0] for piece in want}
             continue
+        if at in ids:
+            # That block is left out, or what is lost before it is told wrong; the others are here.
+            hurt_block = next(
+                piece for piece, b in zip(want, packets(raw), strict=True) if at < b.end
+            )
+            assert pieces != want
+            left = [piece[:2] for piece in pieces if piece[:2] != hurt_block[:2]]
+            assert left == [piece[:2] for piece in want if piece is not hurt_block]
+            assert len(left) < len(pieces) or remarks
+            continue
         if pieces == want:
             continue
         assert at not in told
@@ -556,8 +592,9 @@ def test_a_flipped_byte_never_gives_wrong_bytes(mask: int) -> None:
         assert len(missing) == 1
         where = want.index(missing[0])
         rest = want[where + 1 :]
-        if rest:  # what comes behind the damage says so
-            rest[0] = (*rest[0][:2], -1, True)
+        if rest:  # what comes behind the damage says so, and the ids how much is missing
+            lost = -1 if aged else len(missing[0][0]) + rest[0][2]
+            rest[0] = (*rest[0][:2], lost, True)
         assert pieces == want[:where] + rest
     assert hurt > sum(len(piece[0]) for piece in want)
 
@@ -636,7 +673,7 @@ def swapped(raw: bytes) -> bytes:
     values: dict[int, dict[int, tuple[int, ...]]] = {
         plain_pcapng.SECTION: {},
         plain_pcapng.INTERFACE: {8: (8,)},
-        plain_pcapng.PACKET: {3: (1, 4), 4: (8,)},
+        plain_pcapng.PACKET: {3: (1, 4), 4: (8,), 5: (8,)},
         plain_pcapng.STATISTICS: {2: (4, 4), 3: (4, 4), 4: (8,), 5: (8,)},
     }
     fixed: dict[int, tuple[int, ...]] = {
@@ -704,14 +741,21 @@ def test_recordings_of_different_lines_are_not_mixed() -> None:
 @pytest.mark.parametrize("damage", ["bytes", "head", "length", "hole", "zeros", "inserted"])
 @pytest.mark.parametrize("window", [1 << 16, 8 << 20])
 @pytest.mark.parametrize("mapped", [False, True])
+@pytest.mark.parametrize("aged", [False, True])
 def test_reading_goes_on_behind_damage(
-    damage: str, window: int, mapped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    damage: str,
+    window: int,
+    mapped: bool,
+    aged: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(_input, "WINDOW", window)
     monkeypatch.setattr(_input, "CHUNK", 5000)
     rng = np.random.default_rng(6)
     sent = [(rng.bytes(30_000), EPOCH + second * 1000 * MS, 0) for second in range(40)]
-    raw = bytearray(recorded(sent))
+    written = recorded(sent)
+    raw = bytearray(plain_pcapng.without_ids(written) if aged else written)
     hurt = packets(bytes(raw))[17]
     if damage == "bytes":
         raw[hurt.offset + 5000] ^= 0x10
@@ -729,7 +773,9 @@ def test_reading_goes_on_behind_damage(
     want = [(*piece, False) for piece in sent]
     if damage != "inserted":
         del want[17]
-    want[17] = (*want[17][:2], -1, True)
+        want[17] = (*want[17][:2], 30_000, True)
+    if aged:
+        want[17] = (*want[17][:2], -1, True)
     path = tmp_path / "run.pcapng"
     path.write_bytes(raw)
     source: BinaryIO = path.open("rb") if mapped else cast(BinaryIO, io.BytesIO(raw))
@@ -823,6 +869,11 @@ def test_memory_stays_bounded(tmp_path: Path) -> None:
 # Recovery.
 
 
+def older() -> bytes:
+    blocks = packets(raw := recorded(spread(4, seed=12)))
+    return raw[blocks[0].offset : blocks[-1].end]
+
+
 def damages() -> dict[str, Callable[[bytearray], object]]:
     return {
         "none": bytearray.copy,
@@ -831,6 +882,7 @@ def damages() -> dict[str, Callable[[bytearray], object]]:
         "hole": lambda raw: raw.__delitem__(slice(700, 777)),
         "zeros": lambda raw: raw.__setitem__(slice(600, 1200), bytes(600)),
         "behind": lambda raw: raw.extend(recorded(spread(5, seed=11), close=False)[:-3]),
+        "older": lambda raw: raw.__setitem__(slice(700, 1200), older()),
         "torn and behind": lambda raw: raw.__setitem__(slice(-50, None), recorded(spread(5))),
     }
 
@@ -846,7 +898,9 @@ def test_the_repaired_copy_gives_what_the_damaged_file_gives(damage: str) -> Non
     assert done.remarks == remarks
     assert (done.info, done.blocks) == (INFO, len(want))
     assert done.bytes_kept == sum(len(piece[0]) for piece in want)
-    assert done.bytes_left_out == len(raw) - len(target.getvalue())
+    # The drop count that says so behind the torn end takes room.
+    added = 12 if damage == "torn and behind" else 0
+    assert done.bytes_left_out == len(raw) - len(target.getvalue()) + added
     assert (damage == "none") == (done.bytes_left_out == 0)
     plain_pcapng.read(target.getvalue())
     assert listed(target.getvalue()) == (want, [])

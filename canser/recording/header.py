@@ -2,7 +2,8 @@
 
 One interface, one enhanced packet block for each chunk of bytes. Its time is when the last
 byte of the chunk came; the earlier ones came one after the other at the line's rate. Its
-drop count is the bytes lost right before the chunk; its hash is the CRC32 of the bytes.
+drop count is the bytes lost right before the chunk; its hash is the CRC32 of the bytes; its id
+is its place in the stream. A chunk without bytes has only lost bytes, or a note, to tell.
 
 A file that ends anywhere is good up to its last whole block. What is damaged is left out,
 and told. The standard's hash covers the bytes only: a flipped bit in a time, in a drop count
@@ -13,6 +14,7 @@ Here are the blocks that start a recording, written and read: what it says of it
 
 import re
 import struct
+import zlib
 from dataclasses import dataclass
 from typing import Final
 
@@ -21,7 +23,9 @@ from canser.recording import pcapng
 from canser.recording.pcapng import Order
 
 __all__ = [
+    "MARK_MAX",
     "RecordingInfo",
+    "interface_mark",
     "is_recording",
     "make_header",
     "read_interface",
@@ -32,7 +36,7 @@ __all__ = [
 _LINK_TYPE: Final = 147
 
 # Options of the blocks, as the standard numbers them.
-_COMMENT, _OS, _APPLICATION = 1, 3, 4
+_OS, _APPLICATION = 3, 4
 _NAME, _DESCRIPTION, _SPEED, _RESOLUTION = 2, 3, 8, 9
 
 _NANOSECONDS: Final = b"\x09"  # a resolution: 10 to the power of -9 seconds
@@ -79,8 +83,8 @@ def starts_recording(source: Input) -> bool:
     return likely and is_recording(bytes(source.at(0, 12)))
 
 
-def make_header(info: RecordingInfo) -> bytes:
-    """Return the blocks that start a recording."""
+def make_header(info: RecordingInfo, base: int) -> bytes:
+    """Return the blocks that start a recording; `base`: of the ids of its blocks."""
     # Imported where they are used: they take 20 ms, and readers need neither.
     import platform  # noqa: PLC0415
     from importlib.metadata import version  # noqa: PLC0415
@@ -90,7 +94,7 @@ def make_header(info: RecordingInfo) -> bytes:
         # Version 1.0; how long the section gets is not known.
         struct.pack("<IHHq", pcapng.MAGIC, 1, 0, -1),
         [
-            (_COMMENT, _ABOUT.encode()),
+            (pcapng.COMMENT, _ABOUT.encode()),
             (_OS, f"{platform.system()} {platform.release()}".encode()),
             (_APPLICATION, f"canser {version('canser')}".encode()),
         ],
@@ -100,6 +104,7 @@ def make_header(info: RecordingInfo) -> bytes:
         "baudrate": info.baudrate,
         "bitrate": info.bitrate,
         "ts_unit": info.ts_unit,
+        "base": _base_word(base),
     }
     words = [f"{name}={value}" for name, value in facts.items() if value is not None]
     interface = pcapng.block(
@@ -115,8 +120,27 @@ def make_header(info: RecordingInfo) -> bytes:
     return section + interface
 
 
-def read_interface(whole: memoryview, order: Order) -> RecordingInfo | None:
-    """Return what an interface block tells of a line, None if it is none of ours."""
+# The longest mark of a block by which a search finds it.
+MARK_MAX: Final = 10
+
+
+def interface_mark(order: Order) -> bytes:
+    """Return the pattern of an interface's first bytes: the type, any length, the kind of link."""
+    kind, link = struct.pack(f"{order}I", pcapng.INTERFACE), struct.pack(f"{order}H", _LINK_TYPE)
+    return re.escape(kind) + b"...." + re.escape(link)
+
+
+def _base_word(base: int) -> str:
+    """Return a base as it is written, with the CRC32 of its digits: all ids depend on it."""
+    digits = f"{base:016x}"
+    return f"{digits}{zlib.crc32(digits.encode()):08x}"
+
+
+def read_interface(whole: memoryview, order: Order) -> tuple[RecordingInfo, int | None] | None:
+    """Return what an interface block tells of a line, None if it is none of ours.
+
+    And the base of the blocks' ids, None if they have none or it is damaged.
+    """
     if len(whole) < _INTERFACE_MIN or pcapng.u16(whole, 8, order) != _LINK_TYPE:
         return None
     values = {
@@ -134,10 +158,13 @@ def read_interface(whole: memoryview, order: Order) -> RecordingInfo | None:
         or values.get(_RESOLUTION) != _NANOSECONDS
     ):
         return None
-    return RecordingInfo(
+    info = RecordingInfo(
         protocol=facts["protocol"],
         baudrate=int(facts["baudrate"]),
         bitrate=int(bitrate) if "bitrate" in facts else None,
         ts_unit=facts["ts_unit"],
         device=values.get(_NAME, b"").decode("utf-8", "surrogateescape"),
     )
+    word = facts.get("base", "")
+    whole_base = re.fullmatch("[0-9a-f]{24}", word) and word == _base_word(int(word[:16], 16))
+    return info, int(word[:16], 16) if whole_base else None

@@ -13,7 +13,9 @@ from collections.abc import Iterable
 from typing import Final, Literal, NamedTuple
 
 __all__ = [
+    "COMMENT",
     "ENHANCED",
+    "ENHANCED_HEAD_LEN",
     "INTERFACE",
     "LENGTH_MAX",
     "LENGTH_MIN",
@@ -25,13 +27,13 @@ __all__ = [
     "Enhanced",
     "Order",
     "block",
-    "enhanced_head",
-    "enhanced_tail",
+    "enhanced",
     "is_pcapng",
     "options",
     "section_order",
     "u16",
     "u32",
+    "with_dropcount",
 ]
 
 # struct's signs of the byte order of a section.
@@ -54,8 +56,9 @@ _MAGICS: Final[dict[bytes, Order]] = {
 LENGTH_MIN: Final = 12
 LENGTH_MAX: Final = 1 << 24
 
-# Options of an enhanced packet block.
-_HASH, _DROPCOUNT = 3, 4
+# Options of an enhanced packet block; the first one of any block.
+COMMENT: Final = 1
+_HASH, _DROPCOUNT, _PACKET_ID = 3, 4, 5
 _CRC32: Final = 2  # the hash's algorithm, its first byte
 
 # The drop count of a gap of unknown length.
@@ -68,9 +71,12 @@ _U16: Final = {order: struct.Struct(f"{order}H") for order in ("<", ">")}
 _U32: Final = {order: struct.Struct(f"{order}I") for order in ("<", ">")}
 _U64: Final = {order: struct.Struct(f"{order}Q") for order in ("<", ">")}
 
-# Padding not counted: the hash (code, length, algorithm, CRC32), the drop count, the end
-# of the options, the total length.
-_ENHANCED_TAIL: Final = struct.Struct("<HHBI3xHHQHHI")
+# The options of a block: code, length, algorithm, CRC32; code, length, number.
+_HASH_OPTION: Final = struct.Struct("<HHBI3x")
+_NUMBER_OPTION: Final = struct.Struct("<HHQ")
+
+#: What stands before the data of an enhanced packet block, in bytes.
+ENHANCED_HEAD_LEN: Final = 28
 
 
 def is_pcapng(head: bytes) -> bool:
@@ -93,32 +99,58 @@ def u32(data: memoryview, at: int, order: Order) -> int:
     return _U32[order].unpack_from(data, at)[0]  # type: ignore[no-any-return]
 
 
+def _options(options: Iterable[tuple[int, bytes]], order: Order = "<") -> bytes:
+    """Return options, and their end."""
+    parts = []
+    for code, value in options:
+        parts += [_OPTION[order].pack(code, len(value)), value, bytes(-len(value) % 4)]
+    return b"".join([*parts, _OPTION[order].pack(0, 0)])
+
+
 def block(kind: int, fixed: bytes, options: Iterable[tuple[int, bytes]]) -> bytes:
     """Return a block: its fixed fields, a multiple of 4 bytes, and its options."""
-    parts = [fixed]
-    for code, value in options:
-        parts += [struct.pack("<HH", code, len(value)), value, bytes(-len(value) % 4)]
-    parts.append(struct.pack("<HH", 0, 0))
-    body = b"".join(parts)
+    body = fixed + _options(options)
     length = struct.pack("<I", len(body) + LENGTH_MIN)
     return struct.pack("<I", kind) + length + body + length
 
 
-def enhanced_head(data_len: int, ts: int) -> bytes:
-    """Return what stands before the data of a packet of interface 0."""
-    length = _ENHANCED_HEAD["<"].size + data_len + -data_len % 4 + _ENHANCED_TAIL.size
-    return _ENHANCED_HEAD["<"].pack(
+def enhanced(
+    data_len: int,
+    ts: int,
+    *,
+    crc32: int,
+    dropped: int,
+    packet_id: int,
+    comments: Iterable[bytes],
+) -> tuple[bytes, bytes]:
+    """Return what stands before the data of a packet of interface 0, and what behind it.
+
+    A drop count of 0 takes no room.
+    """
+    tail = bytes(-data_len % 4) + _HASH_OPTION.pack(_HASH, 5, _CRC32, crc32)
+    if dropped:
+        tail += _NUMBER_OPTION.pack(_DROPCOUNT, 8, dropped)
+    tail += _NUMBER_OPTION.pack(_PACKET_ID, 8, packet_id)
+    tail += _options((COMMENT, comment) for comment in comments)
+    length = ENHANCED_HEAD_LEN + data_len + len(tail) + 4
+    head = _ENHANCED_HEAD["<"].pack(
         ENHANCED, length, 0, ts >> 32, ts & 0xFFFF_FFFF, data_len, data_len
     )
+    return head, tail + struct.pack("<I", length)
 
 
-def enhanced_tail(data_len: int, crc32: int, dropped: int) -> bytes:
-    """Return what stands behind the data of a packet."""
-    pad = -data_len % 4
-    length = _ENHANCED_HEAD["<"].size + data_len + pad + _ENHANCED_TAIL.size
-    return bytes(pad) + _ENHANCED_TAIL.pack(
-        *(_HASH, 5, _CRC32, crc32), *(_DROPCOUNT, 8, dropped), *(0, 0), length
-    )
+def with_dropcount(whole: memoryview, order: Order, dropped: int) -> bytes:
+    """Return an enhanced packet block with another drop count."""
+    data_len = u32(whole, 20, order)
+    begin = ENHANCED_HEAD_LEN + data_len + -data_len % 4
+    kept = [
+        (code, bytes(whole[at : at + length]))
+        for code, at, length in options(whole, begin, order)
+        if code != _DROPCOUNT
+    ]
+    told = _options([*kept, (_DROPCOUNT, _U64[order].pack(dropped))], order)
+    length = _U32[order].pack(begin + len(told) + 4)
+    return bytes(whole[:4]) + length + bytes(whole[8:begin]) + told + length
 
 
 class Enhanced(NamedTuple):
@@ -129,30 +161,34 @@ class Enhanced(NamedTuple):
     data: memoryview
     crc32: int | None
     dropped: int | None
-    dropped_at: int  # where the drop count stands in the block
+    packet_id: int | None
+    comments: list[bytes]
 
     @classmethod
     def read(cls, whole: memoryview, order: Order) -> "Enhanced | None":
         """Read a block whose lengths agree; None if what is inside does not fit."""
         end = len(whole) - 4
-        if end < _ENHANCED_HEAD[order].size:
+        if end < ENHANCED_HEAD_LEN:
             return None
         _, _, interface, high, low, data_len, _ = _ENHANCED_HEAD[order].unpack_from(whole)
-        begin = _ENHANCED_HEAD[order].size
+        begin = ENHANCED_HEAD_LEN
         at = begin + data_len + -data_len % 4
         if at > end:
             return None
-        crc32 = dropped = None
-        dropped_at = 0
+        crc32 = dropped = packet_id = None
+        comments = []
         for code, value_at, length in options(whole, at, order):
             if code == _HASH and length == 5 and whole[value_at] == _CRC32:
                 # In the byte order of the section: the standard is silent.
                 (crc32,) = _U32[order].unpack_from(whole, value_at + 1)
             elif code == _DROPCOUNT and length == 8:
                 (dropped,) = _U64[order].unpack_from(whole, value_at)
-                dropped_at = value_at
-        data = whole[begin : begin + data_len]
-        return cls(interface, high << 32 | low, data, crc32, dropped, dropped_at)
+            elif code == _PACKET_ID and length == 8:
+                (packet_id,) = _U64[order].unpack_from(whole, value_at)
+            elif code == COMMENT:
+                comments.append(bytes(whole[value_at : value_at + length]))
+        data, ts = whole[begin : begin + data_len], high << 32 | low
+        return cls(interface, ts, data, crc32, dropped, packet_id, comments)
 
 
 def options(whole: memoryview, at: int, order: Order) -> list[tuple[int, int, int]]:

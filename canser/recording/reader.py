@@ -3,13 +3,14 @@
 import re
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple, Self
 
 from canser._input import Input, Source
 from canser.errors import RecordingError
 from canser.recording import pcapng
-from canser.recording.header import RecordingInfo, read_interface
+from canser.recording.header import MARK_MAX, RecordingInfo, interface_mark, read_interface
+from canser.recording.ids import BlockIds, Place, is_id
 from canser.recording.pcapng import Enhanced, Order
 from canser.timing.arrivals import DataBlock
 
@@ -23,6 +24,8 @@ _SCAN: Final = 1 << 20
 
 _SECTION_MIN: Final = 28
 
+_NOT_AS_WRITTEN: Final = "the block is not as canser writes it"
+
 
 class Recording(Iterator[DataBlock]):
     """The blocks of bytes of a recording in order: an iterator; a context manager.
@@ -31,10 +34,14 @@ class Recording(Iterator[DataBlock]):
     in bounded memory; a pipe is read as its bytes come. `.info` tells of the line. The data of
     a block is a view of the file, with the times of recordings behind one another as they are.
 
-    What is torn or damaged is left out and named in `.remarks`; the block behind it has a
-    gap of unknown length. Recordings of the same line may follow each other in the file;
-    blocks of other kinds and interfaces are skipped. RecordingError if there is no interface
-    of canser's; OSError for a file that cannot be read.
+    What is torn or damaged is left out and named in `.remarks`, and so is what an older
+    recording has left there, or what is there a second time. The block behind it has a gap: of
+    as many bytes as the ids of the blocks tell, in older files of unknown length. A block has no
+    bytes where bytes were lost that no others followed. Notes are remarks.
+
+    Recordings of the same line may follow each other in the file; blocks of other kinds and
+    interfaces are skipped. RecordingError if there is no interface of canser's; OSError for a
+    file that cannot be read.
     """
 
     def __init__(self, source: Source | Input) -> None:
@@ -48,7 +55,8 @@ class Recording(Iterator[DataBlock]):
 
     def __next__(self) -> DataBlock:
         for block in self._walk:
-            if block.piece is not None:
+            if block.is_given:
+                assert block.piece is not None
                 return block.piece
         self.close()
         raise StopIteration
@@ -85,7 +93,21 @@ class WalkedBlock(NamedTuple):
     kind: int
     whole: memoryview
     piece: DataBlock | None = None
-    dropped_at: int = 0
+    place: Place | None = None  # by its id, if it has one
+    # Its byte order where a copy must say that an unknown number of bytes is lost.
+    unsure_order: Order | None = None
+    notes: Sequence[bytes] = ()
+
+    @property
+    def is_given(self) -> bool:
+        """Whether the piece tells of bytes, and not of a note alone."""
+        return self.piece is not None and (len(self.piece.data) > 0 or self.piece.lost != 0)
+
+
+def _line(note: bytes) -> str:
+    """Return a note as part of a line of text."""
+    text = note.decode("utf-8", "replace")
+    return " ".join("".join(char if char.isprintable() else " " for char in text).split())
 
 
 class Walk(Iterator[WalkedBlock]):
@@ -101,9 +123,15 @@ class Walk(Iterator[WalkedBlock]):
         self._interfaces = 0  # in the section so far
         self._ours = -1  # the number of our interface in the section
         self._damaged: tuple[int, str] | None = None  # since where, and why
+        self._places = 0  # where something was left out
         self._skipped = 0  # blocks that are good and none of ours
+        self._ids = BlockIds()
+        self._line_bytes = 0  # in the pieces so far
+        self._notes = 0
         # What the next piece tells of what lies before it.
-        self._gap = self._lost = False
+        self._gap = False  # another recording ends there
+        self._lost = False  # something was left out
+        self._torn = False  # something was left out at that recording's end
         self._blocks = self._run()
 
     def __next__(self) -> WalkedBlock:
@@ -131,10 +159,10 @@ class Walk(Iterator[WalkedBlock]):
                 continue
             if self._damaged is not None:
                 self._end_damage("left out")
-            if block.piece is not None:
-                self._gap = self._lost = False
-            else:
+            if block.piece is None:
                 self._enter(block)
+            else:
+                self._enter_piece(block, block.piece)
             self.at += len(block.whole)
             yield block
         if self._damaged is not None:
@@ -147,11 +175,12 @@ class Walk(Iterator[WalkedBlock]):
         begin, why = self._damaged
         self._damaged = None
         self.left_out += self.at - begin
-        self._gap = self._lost = True
-        if len(self.remarks) < _REMARKS_KEPT:
+        self._lost = True
+        self._places += 1
+        if self._places <= _REMARKS_KEPT:
             size = self.at - begin
             self.remarks.append(f"{what}: {size:,} bytes at byte {begin:,}: {why}")
-        elif len(self.remarks) == _REMARKS_KEPT:
+        elif self._places == _REMARKS_KEPT + 1:
             self.remarks.append("more is left out, and not named one by one")
 
     def _whole(self, at: int) -> memoryview | str:
@@ -207,22 +236,64 @@ class Walk(Iterator[WalkedBlock]):
             return "the block's interface is not described"
         if packet.interface != self._ours:
             return WalkedBlock(pcapng.ENHANCED, whole)
-        if packet.crc32 is None or packet.dropped is None or packet.ts >> 63:
-            return "the block is not as canser writes it"
+        if packet.crc32 is None or packet.ts >> 63:
+            return _NOT_AS_WRITTEN
         if zlib.crc32(packet.data) != packet.crc32:
             return "the CRC32 of the block does not hold"
-        # Asked before the damage is done with, so that a block tried here is the block taken.
+        return self._check_place(whole, packet)
+
+    def _check_place(self, whole: memoryview, packet: Enhanced) -> WalkedBlock | str:
+        """Return a block of ours with what is lost before it, or why it does not belong there."""
+        if not is_id(packet.packet_id) and (self._ids.used or packet.dropped is None):
+            return _NOT_AS_WRITTEN
+        dropped = packet.dropped or 0  # beside an id 0 is not written
+        # Asked before the damage is done with: a block tried here is the block taken.
         damaged = self._lost or self._damaged is not None
-        lost = -1 if damaged or packet.dropped == pcapng.UNKNOWN else packet.dropped
-        piece = DataBlock(packet.data, packet.ts, lost, lost != 0 or self._gap)
-        return WalkedBlock(pcapng.ENHANCED, whole, piece, packet.dropped_at)
+        place, size = None, len(packet.data)
+        if self._ids.used:
+            assert packet.packet_id is not None
+            found = self._ids.find(packet.packet_id, dropped, size)
+            if isinstance(found, str):
+                return found
+            # The ids do not tell what is missing at the end of another recording.
+            unsure = self._torn or (damaged and found.recording > 0)
+            if unsure and isinstance(
+                again := self._ids.find(packet.packet_id, pcapng.UNKNOWN, size), Place
+            ):
+                found = again
+            place, lost = found, found.lost
+        else:
+            unsure = damaged
+            lost = -1 if damaged or dropped == pcapng.UNKNOWN else dropped
+        gap = lost != 0 or self._gap or (place is not None and place.recording > 0)
+        piece = DataBlock(packet.data, packet.ts, lost, gap)
+        unsure_order = self._order if unsure and lost else None
+        return WalkedBlock(pcapng.ENHANCED, whole, piece, place, unsure_order, packet.comments)
+
+    def _enter_piece(self, block: WalkedBlock, piece: DataBlock) -> None:
+        """Go on behind a piece."""
+        if block.is_given:
+            self._gap = self._lost = self._torn = False
+        else:
+            self._gap = piece.gap  # of the next one
+        if block.place is not None:
+            self._ids.take(block.place)
+        for note in block.notes:
+            self._notes += 1
+            if self._notes <= _REMARKS_KEPT:
+                self.remarks.append(f"note at byte {self._line_bytes:,} of the line: {_line(note)}")
+            elif self._notes == _REMARKS_KEPT + 1:
+                self.remarks.append("more notes are in the file, and not given one by one")
+        self._line_bytes += len(piece.data)
 
     def _enter(self, block: WalkedBlock) -> None:
         """Take note of a block that is no piece."""
         if block.kind == pcapng.SECTION:
             self._gap = self._order is not None  # it goes on behind another recording
             self._order = pcapng.section_order(block.whole)
+            self._torn = self._lost
             self._interfaces, self._ours = 0, -1
+            self._ids.begin(None)
         elif block.kind == pcapng.INTERFACE:
             self._interfaces += 1
             self._enter_interface(block)
@@ -231,9 +302,10 @@ class Walk(Iterator[WalkedBlock]):
 
     def _enter_interface(self, block: WalkedBlock) -> None:
         assert self._order is not None
-        info = read_interface(block.whole, self._order)
-        if info is None:
+        told = read_interface(block.whole, self._order)
+        if told is None:
             return
+        info, base = told
         first = self.info or info
         same = (info.protocol, info.baudrate, info.ts_unit) == (
             *(first.protocol, first.baudrate, first.ts_unit),
@@ -241,7 +313,10 @@ class Walk(Iterator[WalkedBlock]):
         if same and self._ours < 0:
             self.info = first
             self._ours = self._interfaces - 1
+            self._ids.begin(base)
         else:
+            if same and base is not None:
+                self._ids.add(base)
             self.remarks.append(
                 f"the interface {info.device} at byte {self.at:,} is another line: left out"
             )
@@ -258,20 +333,23 @@ class Walk(Iterator[WalkedBlock]):
         return self._scan(at + 1)
 
     def _scan(self, at: int) -> int:
-        """Return the next place of a section, or of a piece whose CRC32 holds; or the end.
+        """Return the next place where a recording begins or a piece's CRC32 holds; or the end.
 
         Anywhere, not in steps of 4: a file may be put behind one that is torn.
         """
-        marks = [pcapng.SECTION_MARK]
+        marks = [re.escape(pcapng.SECTION_MARK)]
         if self._order is not None:
-            marks.append(struct.pack(f"{self._order}I", pcapng.ENHANCED))
-        search = re.compile(b"|".join(map(re.escape, marks)))
+            marks += [re.escape(struct.pack(f"{self._order}I", pcapng.ENHANCED))]
+            marks += [interface_mark(self._order)]
+        search = re.compile(b"|".join(marks), re.DOTALL)
         while True:
             view = self._input.at(at, _SCAN)
             for found in search.finditer(view):
                 block = self._check(at + found.start())
-                if isinstance(block, WalkedBlock) and (block.kind == pcapng.SECTION or block.piece):
+                if isinstance(block, WalkedBlock) and (
+                    block.kind != pcapng.ENHANCED or block.piece
+                ):
                     return at + found.start()
             if len(view) < _SCAN:
                 return at + len(view)
-            at += len(view) - len(pcapng.SECTION_MARK) + 1
+            at += len(view) - MARK_MAX + 1

@@ -28,24 +28,24 @@ class Recovered:
 def recover(source: BinaryIO, target: BinaryIO) -> Recovered:
     """Copy the good blocks of a recording; nothing is made up.
 
-    What comes behind something that is left out gets the drop count of a gap of unknown
-    length, so that reading the copy gives what reading the damaged file gives.
+    Blocks keep their ids. Where these do not tell what was left out, the next block gets the drop
+    count of a gap of unknown length, so that reading the copy gives what reading the damaged file
+    gives.
     RecordingError if there is no interface of canser's.
     """
     walk = Walk(Input(source))
     blocks = bytes_kept = 0
     for block in walk:
-        whole: memoryview | bytearray = block.whole
+        whole: memoryview | bytearray | bytes = block.whole
         if block.kind == pcapng.SECTION:
             # Its length may not hold any more; "unknown" always does.
             whole = bytearray(whole)
             whole[_SECTION_LENGTH] = b"\xff" * 8
         elif block.piece is not None:
-            blocks += 1
+            blocks += block.is_given
             bytes_kept += len(block.piece.data)
-            if block.piece.lost < 0:
-                whole = bytearray(whole)
-                whole[block.dropped_at : block.dropped_at + 8] = pcapng.UNKNOWN.to_bytes(8)
+            if block.unsure_order is not None:
+                whole = pcapng.with_dropcount(block.whole, block.unsure_order, pcapng.UNKNOWN)
         target.write(whole)
     if walk.info is None:
         raise RecordingError(walk.nothing())

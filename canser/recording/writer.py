@@ -15,6 +15,7 @@ from canser._input import Source
 from canser.recording import pcapng
 from canser.recording._lock import lock
 from canser.recording.header import RecordingInfo, make_header
+from canser.recording.ids import make_base, skipped_by
 from canser.timing.arrivals import count_back
 
 __all__ = ["RecordingWriter"]
@@ -37,7 +38,10 @@ _SYNC_NS: Final = 1_000_000_000
 # Options of the interface's statistics, as the standard numbers them.
 _START, _END, _RECEIVED, _DROPPED = 2, 3, 4, 5
 
-_HEAD_LEN: Final = len(pcapng.enhanced_head(0, 0))
+_HEAD_LEN: Final = pcapng.ENHANCED_HEAD_LEN
+
+# An option of a block holds no more bytes.
+_NOTE_MAX: Final = (1 << 16) - 1
 
 # Where there is nothing to be written through: a pipe, a terminal.
 _NO_SYNC: Final = {errno.EINVAL, errno.ENOTSUP, errno.EROFS}
@@ -85,13 +89,16 @@ class RecordingWriter(Uncopied):
         self._first_ns = self._last_ns = 0  # of the pieces in the open chunk
         self._shift_min = self._shift_max = 0.0
         self._lost = self._lost_total = 0  # before the open chunk, and in all
+        self._notes: list[bytes] = []  # for the open chunk
+        base = make_base()
+        self._next_id = base  # where the open chunk begins, but for what is lost before it
         self._times: tuple[int, int] | None = None  # of the first block and the last
         self._synced_ns = 0
         self._dirty = False
         self._whole = 0  # the size of the file up to its last whole block
         self._usable = True
         self._opened: BinaryIO | None = None
-        header = make_header(info)  # a mistake shows before there is a file
+        header = make_header(info, base)  # a mistake shows before there is a file
         self._path: Path | None = None
         if isinstance(target, (str, os.PathLike)):
             self._path = Path(target)
@@ -129,19 +136,31 @@ class RecordingWriter(Uncopied):
     def write(self, data: memoryview | bytes, arrival_ns: int, lost: int = 0) -> None:
         """Take bytes as they were read from the line; their last one came at `arrival_ns`.
 
-        `lost`: bytes of the line that are lost right before these, -1 for an unknown number.
-        The bytes are copied. While nothing comes call `poll` every 250 ms or so.
+        `lost`: bytes of the line that are lost right before these, -1 for an unknown number;
+        they are recorded where no bytes follow, too. The bytes are copied. While nothing comes
+        call `poll` every 250 ms or so.
         """
         self._check_usable()
         if lost:
             self._close_chunk()
             self._lost = _sum_lost(self._lost, lost)
+            self._last_ns = arrival_ns
         # What is too large for a chunk, in parts: each came before the next on the line.
         for begin in range(0, len(data), CHUNK_MAX):
             part = data[begin : begin + CHUNK_MAX]
             behind = len(data) - begin - len(part)
             self._add(part, count_back(arrival_ns, behind, self.info.byte_ns, self._last_ns))
         self.poll(arrival_ns)
+
+    def note(self, text: str, now_ns: int) -> None:
+        """Put a note between the bytes so far and those to come, such as that a clock was set."""
+        self._check_usable()
+        note = text.encode("utf-8", "surrogateescape")
+        if len(note) > _NOTE_MAX:
+            raise ValueError(f"the note has {len(note):,} bytes; {_NOTE_MAX:,} are possible")
+        self._close_chunk()
+        self._notes.append(note)
+        self._last_ns = now_ns
 
     def poll(self, now_ns: int) -> None:
         """Close a chunk that is 250 ms old, and write through once a second."""
@@ -157,14 +176,14 @@ class RecordingWriter(Uncopied):
     def sync(self) -> None:
         """Close the chunk, and write everything through to the disk."""
         self._check_usable()
-        self._close_chunk()
+        self._close_all()
         self._write_through()
 
     def close(self) -> None:
         """Write what is open, the interface's statistics, and through to the disk."""
         try:
             if self._usable:
-                self._close_chunk()
+                self._close_all()
                 self._write_block(self._statistics())
                 self._write_through()
         finally:
@@ -205,16 +224,33 @@ class RecordingWriter(Uncopied):
         self._room = bytearray(_HEAD_LEN)
         self._crc32 = 0
         self._lost = 0
+        self._notes = []
 
     def _close_chunk(self) -> None:
-        """Write the open chunk, if there is anything in it."""
+        """Write the open chunk, if there are bytes in it."""
+        if len(self._room) > _HEAD_LEN:
+            self._write_chunk()
+
+    def _close_all(self) -> None:
+        """Write the open chunk, if it has anything to tell."""
+        if len(self._room) > _HEAD_LEN or self._lost or self._notes:
+            self._write_chunk()
+
+    def _write_chunk(self) -> None:
         count = len(self._room) - _HEAD_LEN
-        if not count:
-            return
-        self._room[:_HEAD_LEN] = pcapng.enhanced_head(count, self._last_ns)
         dropped = pcapng.UNKNOWN if self._lost < 0 else self._lost
-        self._room += pcapng.enhanced_tail(count, self._crc32, dropped)
+        packet_id = (self._next_id + skipped_by(self._lost)) % (1 << 64)
+        self._room[:_HEAD_LEN], tail = pcapng.enhanced(
+            count,
+            self._last_ns,
+            crc32=self._crc32,
+            dropped=dropped,
+            packet_id=packet_id,
+            comments=self._notes,
+        )
+        self._room += tail
         self._write_block(self._room)
+        self._next_id = packet_id + count
         self.bytes_written += count
         self.blocks_written += 1
         self._lost_total += max(self._lost, 0)
@@ -284,8 +320,7 @@ class RecordingWriter(Uncopied):
         times = () if self._times is None else zip((_START, _END), self._times, strict=True)
         options = [(code, _split_time(ts)) for code, ts in times]
         options.append((_RECEIVED, struct.pack("<Q", self.bytes_written)))
-        lost = self._lost_total + max(self._lost, 0)
-        options.append((_DROPPED, struct.pack("<Q", lost)))
+        options.append((_DROPPED, struct.pack("<Q", self._lost_total)))
         fixed = struct.pack("<I", 0) + _split_time(time.time_ns())
         return pcapng.block(pcapng.STATISTICS, fixed, options)
 

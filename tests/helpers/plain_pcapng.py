@@ -50,6 +50,29 @@ class Block(NamedTuple):
         return self.options(20 + len(self.packet) + -len(self.packet) % 4)
 
 
+def without_ids(raw: bytes) -> bytes:
+    """Return a recording as canser wrote it before blocks had ids; little endian."""
+    out = b""
+    for block in read(raw):
+        body = block.body
+        if block.kind == PACKET:
+            told = block.packet_options
+            number = b"\x04\0\x08\0" + told.get(4, bytes(8))
+            at = 20 + len(block.packet) + -len(block.packet) % 4
+            body = body[:at] + b"\x03\0\x05\0" + told[3] + bytes(3) + number + bytes(4)
+        elif block.kind == INTERFACE:
+            told = block.options(8)
+            told[3] = told[3].partition(b" base=")[0]
+            body = body[:8]
+            for code, value in told.items():
+                body += code.to_bytes(2, "little") + len(value).to_bytes(2, "little")
+                body += value + bytes(-len(value) % 4)
+            body += bytes(4)
+        length = (len(body) + 12).to_bytes(4, "little")
+        out += block.kind.to_bytes(4, "little") + length + body + length
+    return out
+
+
 def read(raw: bytes, *, torn: bool = False) -> list[Block]:
     """Return the blocks of a file; `torn`: the last may be cut short, and is left out."""
     found: list[Block] = []
