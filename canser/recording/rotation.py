@@ -336,7 +336,7 @@ class RecordingFiles(Uncopied):
             self._write([block], block.arrival_ns, len(block.data))
 
     def _write(self, blocks: list[DataBlock], begin_ns: int, size: int) -> None:
-        if self._writer is None or self._is_full(blocks[-1].arrival_ns, size):
+        if self._writer is None or self._is_full(blocks, size):
             self._close_file()
             self._open(begin_ns)
         assert self._writer is not None
@@ -348,14 +348,16 @@ class RecordingFiles(Uncopied):
         self._file_bytes += size
         self._last_ns = blocks[-1].arrival_ns
 
-    def _is_full(self, end_ns: int, size: int) -> bool:
+    def _is_full(self, more: list[DataBlock], size: int) -> bool:
+        """Return whether bytes, and blocks of which they are, are too many for the open file."""
         assert self._writer is not None
         if not self._file_bytes:
             return False
-        if self._period_ns is not None and end_ns - self._file_ns > self._period_ns:
+        if self._period_ns is not None and more[-1].arrival_ns - self._file_ns > self._period_ns:
             return True
-        # The open chunk is one block, and what is to come may be one more.
-        overhead = _FILE_OVERHEAD + (self._writer.blocks_written + 2) * _BLOCK_OVERHEAD
+        # The open chunk is one block more, and each read that is to come may be one.
+        blocks = self._writer.blocks_written + 1 + len(more)
+        overhead = _FILE_OVERHEAD + blocks * _BLOCK_OVERHEAD
         return self._size is not None and self._file_bytes + size + overhead > self._size
 
     def _replace(self, now_ns: int) -> None:
