@@ -8,7 +8,7 @@ import sys
 import threading
 from typing import Any, TypeVar
 
-__all__ = ["choice", "flag", "instance", "real", "text", "timeout", "whole"]
+__all__ = ["callback", "choice", "flag", "instance", "real", "text", "timeout", "whole"]
 
 _T = TypeVar("_T")
 
@@ -69,6 +69,13 @@ def choice(value: Any, name: str, names: tuple[str, ...]) -> str:
     """Return one of these names; ValueError for anything else."""
     if not isinstance(value, str) or value not in names:
         raise ValueError(f"unknown {name} {value!r}; have: {', '.join(names)}")
+    return value
+
+
+def callback(value: _T, name: str, parameters: str) -> _T:
+    """Return a function of these parameters, or None; TypeError for anything else."""
+    if value is not None and not callable(value):
+        raise _wrong_type(value, name, f"a function of {parameters}")
     return value
 
 

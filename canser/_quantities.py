@@ -4,13 +4,14 @@ import re
 from fractions import Fraction
 from typing import Final
 
-__all__ = ["is_duration", "parse_bytes", "parse_seconds"]
+__all__ = ["LONGEST_S", "is_duration", "parse_bytes", "parse_seconds"]
 
 _DURATION: Final = re.compile(r"(?P<number>[0-9]+(?:\.[0-9]+)?)(?: *(?P<unit>ms|s|min|m|h|d))?")
 _SECONDS: Final = {"ms": 0.001, "s": 1, "min": 60, "m": 60, "h": 3600, "d": 86400, None: 1}
 
-# Nanoseconds of it fit in 64 bits.
+# The longest time. Its nanoseconds fit in 64 bits.
 _DAYS_MOST: Final = 100_000
+LONGEST_S: Final = _DAYS_MOST * 86_400
 
 _BYTE_COUNT: Final = re.compile(r"(?P<number>[0-9]+(?:\.[0-9]+)?)(?: *(?:(?P<unit>[kKMG]i?)B?|B))?")
 _UNITS: Final = {
@@ -30,7 +31,7 @@ def parse_seconds(text: str) -> float:
     if found is None:
         raise ValueError(f"cannot read the time {text!r}; write 500ms, 5s, 10m, 1h")
     seconds = float(found["number"]) * _SECONDS[found["unit"]]
-    if seconds > _DAYS_MOST * 86400:
+    if seconds > LONGEST_S:
         raise ValueError(f"the time {text} is too long; give {_DAYS_MOST}d or less")
     return seconds
 

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 import canser
 from canser._frames import FRAME_DTYPE
-from canser.recording.recording import RecordingInfo, RecordingWriter
+from canser.recording.header import RecordingInfo
+from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
 from canser.timing.loop import TimedDecoder
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canser import adapters
-from canser._checks import flag, instance, text, whole
+from canser._checks import callback, flag, instance, text, whole
 from canser._checks import timeout as check_timeout
 from canser._core.buffers import BytesLike, as_bytes, input_frames, output_frames
 from canser._core.table import find_protocol
@@ -36,14 +36,20 @@ from canser.live.line import Line, open_line
 from canser.live.meter import longest_bits
 from canser.live.pacing import AHEAD_FRAMES, Pacer
 from canser.live.reader import NO_MORE, LineReader
-from canser.live.recorder import OnEvent, Recorder
-from canser.live.recording import RecordConfig, RecordingJob, RecordOptions
+from canser.live.recorder import Recorder
+from canser.live.recording import (
+    OnEvent,
+    RecordConfig,
+    RecordingJob,
+    RecordOptions,
+    warn_of,
+)
 from canser.live.ring import Gap, Ring
 from canser.live.setup import Setup
 from canser.live.stream import LiveStream, OnBytes, Watchdog
 from canser.recording.header import RecordingInfo
 from canser.timing.clocks import ClockEstimate
-from canser.timing.host import HostClock
+from canser.timing.host import ClockSteps, HostClock
 from canser.timing.loop import TimedDecoder
 
 __all__ = ["Gap", "Port", "PortInfo", "list_ports", "open"]
@@ -144,10 +150,7 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
     device_time = flag(device_time, "device_time")
     if device_time and not row.has_clock:
         raise ValueError(f"{row.name} frames carry no device time; leave device_time out")
-    if on_bytes is not None and not callable(on_bytes):
-        raise TypeError(
-            f"on_bytes is {on_bytes!r}; it must be a function of data, arrival_ns and lost"
-        )
+    callback(on_bytes, "on_bytes", "data, arrival_ns and lost")
     return Port(
         url,
         Decoder(row.name, ts_unit=ts_unit),
@@ -223,7 +226,7 @@ class Port(Uncopied):
         self._stream = self._make_stream(
             self._ring, decoder, device_time=device_time, on_bytes=on_bytes
         )
-        self._recorders: list[Recorder] = []
+        self._recorders: set[Recorder] = set()
         self._closed = False
 
     def __repr__(self) -> str:
@@ -408,7 +411,7 @@ class Port(Uncopied):
 
     def record(
         self,
-        path: str,
+        path: str | os.PathLike[str],
         *,
         on_event: OnEvent | None = None,
         **options: Unpack[RecordOptions],
@@ -417,10 +420,12 @@ class Port(Uncopied):
 
         Parameters
         ----------
-        path : str
+        path : str or path
             A name that ends in `.pcapng`.
         on_event : callable, optional
-            Is called with each `RecorderEvent`, by that thread.
+            Is called with each `RecorderEvent`, by that thread; while it runs, nothing is
+            recorded. What it raises is a `CanserWarning`, and the recording goes on. Without it
+            warnings are those of Python.
         **options
             `size`, `time`, `keep`, `triggers`, `before`, `after` and `force`, as for
             `RecordConfig`.
@@ -438,8 +443,8 @@ class Port(Uncopied):
             For a path that will not do.
         OSError
             For a file that cannot be made.
-        PortClosedError
-            When the port is closed.
+        PortClosedError, PortGoneError
+            When the port is closed, or the device is gone.
 
         Examples
         --------
@@ -449,19 +454,23 @@ class Port(Uncopied):
         ...             print(len(batch), recorder.status.bytes_recorded)
         """
         self._check_open()
-        config = RecordConfig(**options)
+        config, on_event = RecordConfig(**options), callback(on_event, "on_event", "an event")
         info = RecordingInfo(self.protocol, self.baudrate, self.bitrate, self._ts_unit, self.url)
         files = config.make_files(path, info)
         ring = Ring(self._ring_size)
         # A decoder of its own: it tells where packets end, and finds triggers.
         stream = self._make_stream(ring, Decoder(self.protocol, ts_unit=self._ts_unit))
 
-        def make_job(tell: OnEvent) -> RecordingJob:
-            return RecordingJob(stream, files, config, self._clock, bitrate=self.bitrate, tell=tell)
+        clock, bitrate = self._clock, self.bitrate
 
-        recorder = Recorder(self.url, make_job, self._reader, ring, on_event)
-        self._recorders = [other for other in self._recorders if not other.closed]
-        self._recorders.append(recorder)
+        def make_job(tell: OnEvent) -> RecordingJob:
+            return RecordingJob(stream, files, config, clock, bitrate=bitrate, tell=tell)
+
+        recorder = Recorder(self.url, make_job, self._reader, ring, on_event or warn_of)
+        self._recorders.add(recorder)
+        for other in list(self._recorders):
+            if other.closed:
+                self._recorders.discard(other)
         return recorder
 
     # Writing
@@ -631,16 +640,16 @@ class Port(Uncopied):
     def close(self) -> None:
         """Close the port; a read that waits in another thread ends with PortClosedError.
 
-        A signal handler may do so, too.
+        Recordings of it get what had come, and end. A signal handler may close it, too.
         """
-        if self._closed:
-            return
-        self._closed = True
+        was_closed, self._closed = self._closed, True
         if self._pid != os.getpid():
-            return  # the parent's: its thread is not here, and its line stays open
-        self._reader.end(PortClosedError(f"{self.url} is closed"))
-        self._reader.close()
-        for recorder in self._recorders:
+            return  # the parent's: its threads are not here, and its line stays open
+        if not was_closed:
+            self._reader.end(PortClosedError(f"{self.url} is closed"))
+            self._reader.close()
+        # A signal handler or another thread that has closed it may not have waited for these.
+        for recorder in list(self._recorders):
             recorder.end()
 
     # Inside
@@ -657,7 +666,13 @@ class Port(Uncopied):
         # The answers to what set the adapter up are known by their places in the port's own ring.
         setup = self._setup if ring is self._ring else None
         return LiveStream(
-            self.url, ring, loop, on_bytes=on_bytes, watchdog=self._watchdog, setup=setup
+            self.url,
+            ring,
+            loop,
+            steps=ClockSteps(self._clock),
+            on_bytes=on_bytes,
+            watchdog=self._watchdog,
+            setup=setup,
         )
 
     def _check_open(self) -> None:

@@ -162,17 +162,17 @@ class LineReader:
         came while a lock was held, and where the thread itself has collected the port.
         """
         self._closing.set()
-        must_not_wait = (
-            self._thread is threading.current_thread()
-            or holds(self._line_lock)
-            or holds(self._rings_lock)
-            or self._ring.locked_here
-        )
+        must_not_wait = self._thread is threading.current_thread() or self.locked_here
         self.wake()
         if self._thread.is_alive() and must_not_wait:
             return
         self._thread.join()
         self._finish()
+
+    @property
+    def locked_here(self) -> bool:
+        """Whether this thread is in the middle of something here, which a signal interrupted."""
+        return holds(self._line_lock) or holds(self._rings_lock) or self._ring.locked_here
 
     def _finish(self) -> None:
         with self._line_lock:

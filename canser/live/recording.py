@@ -1,20 +1,20 @@
 """What a recording of a port is asked for, what it does, and what it tells meanwhile."""
 
-import math
+import os
 import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
-from typing import Any, Final, NamedTuple, TypedDict
+from typing import Any, Final, NamedTuple, Self, TypedDict
 
 import numpy as np
 
 from canser import adapters
-from canser._checks import flag, real, whole
+from canser._checks import flag, real, text, whole
 from canser._frames import FRAME_DTYPE, FrameArray, match
-from canser._quantities import parse_bytes, parse_seconds
+from canser._quantities import LONGEST_S, parse_bytes, parse_seconds
 from canser.codec.decoder import Stats
 from canser.errors import CanserWarning
 from canser.live.meter import Meter, Rates
@@ -22,15 +22,21 @@ from canser.live.ring import Gap
 from canser.live.stream import LiveStream
 from canser.recording.header import RecordingInfo
 from canser.recording.rotation import MEMORY, FileEvent, RecordingFiles
-from canser.timing.host import ClockSteps, HostClock, describe_step
+from canser.timing.host import HostClock, describe_step
 
 __all__ = [
+    "ROUND_S",
+    "OnEvent",
     "RecordConfig",
     "RecordOptions",
     "RecorderEvent",
     "RecorderStatus",
     "RecordingJob",
+    "warn_of",
 ]
+
+# The time between two looks at whether a recording shall end, and between two statuses.
+ROUND_S: Final = 0.2
 
 # A file of less than this is mostly its own header.
 _SIZE_LEAST: Final = 100_000
@@ -54,6 +60,10 @@ _GAP_REASONS: Final = {
     "reconnect": "the device was gone",
     "watchdog": "the ping did not come back",
 }
+
+_CLOCK_TEXT: Final = (
+    "times in the open file go on as before, a file that begins later has the new time"
+)
 
 _FILE_TEXTS: Final = {
     "opened": "recording into",
@@ -120,27 +130,26 @@ class RecordConfig:
                 raise ValueError(f"the size {size} is too small for a file; give 100k or more")
             put("size", count)
         put("time", _seconds(self.time, "time"))
-        if self.time == 0:
-            raise ValueError("time is 0; it must be more than 0 seconds")
+        if self.time is not None and not _nanoseconds(self.time):
+            raise ValueError(f"time is {self.time:g}; it must be more than 0 seconds")
+        put("triggers", _triggers(self.triggers))
         if self.keep is not None:
             put("keep", whole(self.keep, "keep", "20", least=1))
-        triggers = (self.triggers,) if isinstance(self.triggers, str) else tuple(self.triggers)
-        put("triggers", triggers)
-        match(np.empty(0, FRAME_DTYPE), *(text for text in triggers if text != _ERROR))
-        if not triggers and (self.before, self.after) != (None, None):
+        if not self.triggers and (self.before, self.after) != (None, None):
             raise ValueError("before and after are about a trigger; name one in triggers")
         put("before", _seconds(self.before, "before"))
         put("after", _seconds(self.after, "after"))
         put("force", flag(self.force, "force"))
 
-    def make_files(self, path: str, info: RecordingInfo) -> RecordingFiles:
+    def make_files(self, path: str | os.PathLike[str], info: RecordingInfo) -> RecordingFiles:
         """Return what bytes are written to; no file is made yet."""
+        path = path if isinstance(path, os.PathLike) else text(path, "path", "'run.pcapng'")
         window_ns = None
         if self.triggers:
             window_ns = _nanoseconds(self.before), _nanoseconds(self.after)
         assert self.size is None or isinstance(self.size, int)
         return RecordingFiles(
-            path,
+            os.fspath(path),
             info,
             size=self.size,
             period_ns=None if self.time is None else _nanoseconds(self.time),
@@ -154,10 +163,13 @@ def _seconds(value: float | str | None, name: str) -> float | None:
     if value is None:
         return None
     if isinstance(value, str):
-        return parse_seconds(value)
-    seconds = real(value, name, "'10s'")
-    if not 0 <= seconds < math.inf:
-        raise ValueError(f"{name} is {seconds:g}; it must be 0 seconds or more, and not infinite")
+        try:
+            return parse_seconds(value)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+    seconds = real(value, name, "10 or '10s'")
+    if not 0 <= seconds <= LONGEST_S:
+        raise ValueError(f"{name} is {seconds:g}; it must be 0 to {LONGEST_S:,} seconds")
     return seconds
 
 
@@ -166,16 +178,28 @@ def _nanoseconds(seconds: float | str | None) -> int:
     return int((_WINDOW_S if seconds is None else seconds) * 1e9)
 
 
+def _triggers(value: object) -> tuple[str, ...]:
+    """Return filters, each of which can be read."""
+    if isinstance(value, str):
+        value = (value,)
+    elif not isinstance(value, Sequence):
+        raise TypeError(f"triggers is {value!r}; it must be a filter or several, such as '123'")
+    triggers = tuple(text(each, "a trigger", "'123' or 'error'") for each in value)
+    match(np.empty(0, FRAME_DTYPE), *(each for each in triggers if each != _ERROR))
+    return triggers
+
+
 class RecorderEvent(NamedTuple):
     """Something that has happened in a recording."""
 
-    #: "opened", "closed", "deleted", "vanished", "restored", "set_aside": a file, `path`.
+    #: "opened", "closed", "deleted"; "vanished": removed, replaced or renamed while it was open;
+    #: "restored", "set_aside": what `force` was to replace: a file, `path`.
     #: "trigger"; "gap"; "back": the device is back after a gap. "error": what the adapter
     #: reports, `number`. "clock_set": the host's clock, by `step_ns`. "warning".
     kind: str
     #: What has happened, in a line.
     text: str
-    #: When, in epoch nanoseconds.
+    #: When, in epoch nanoseconds of the host's clock as it is set now.
     ts: int
     #: The file; of a trigger the one that was open, or "".
     path: str = ""
@@ -193,37 +217,98 @@ class RecorderEvent(NamedTuple):
     step_ns: int = 0
 
 
+OnEvent = Callable[[RecorderEvent], None]
+
+
+def warn_of(event: RecorderEvent) -> None:
+    """Make a warning of Python's of an event that is one; what tells where nothing else does."""
+    if event.kind in ("warning", "clock_set"):
+        warnings.warn(event.text, CanserWarning, stacklevel=2)
+
+
 @dataclass(frozen=True, slots=True)
 class RecorderStatus:
-    """How a recording stands; bytes are those of the line."""
+    """How a recording stands, as of a moment; bytes are those of the line.
 
-    elapsed_s: float  # since it began
-    stats: Stats  # of all bytes that came
-    rates: Rates  # of the last second
-    bytes_in: int  # taken from the port
-    bytes_recorded: int  # in files; at the end those that are on the disk for sure
-    bytes_passed: int  # not recorded on purpose: no trigger was near
-    bytes_vanished: int  # in files that were removed or replaced while they were open
-    bytes_unsure: int  # written, but not known to be on the disk
-    bytes_lost: int  # that came while the recording's own ring was full
-    gaps: int  # places where bytes are missing
-    gaps_unknown: int  # of these, those of which the number of bytes is unknown
+    `bytes_in == bytes_recorded + bytes_passed + bytes_vanished` once it has ended, unless the disk
+    was full or away. `bytes_lost` are not in it.
+
+    Attributes
+    ----------
+    elapsed_s : float
+        Seconds since it began.
+    stats : Stats
+        The decoder's counters, of all bytes that were taken.
+    rates : Rates
+        `frames` and `bytes` per second, and the `load` of the bus, 0 to 1 (None where its bit rate
+        is not known), of the last second.
+    bytes_in : int
+        Bytes that were taken from the port.
+    bytes_recorded : int
+        Bytes in files; at the end those that are on the disk for sure.
+    bytes_passed : int
+        Bytes that are not recorded on purpose: no trigger was near.
+    bytes_vanished : int
+        Bytes in files that were removed or replaced while they were open.
+    bytes_unsure : int
+        Bytes that were written, but are not known to be on the disk.
+    bytes_lost : int
+        Bytes that came while the recording's own ring was full.
+    gaps : int
+        Places where bytes are missing.
+    gaps_unknown : int
+        Those of them of which the number of missing bytes is unknown.
+    triggers : int
+        Triggers so far.
+    files : int
+        Files that were opened.
+    files_kept : tuple of str
+        The paths of those that were not deleted by `keep`, oldest first; at the end only of those
+        that are there.
+    files_vanished : int
+        Files that were removed, replaced or renamed while they were open.
+    file : str
+        The path of the open file, "" for none.
+    file_bytes : int
+        Bytes in the open file.
+    last_file : str
+        The path of the file that was opened last, "" for none.
+    recording : bool
+        Whether what comes is recorded, and does not wait for a trigger.
+    away : bool
+        Whether the device is gone, and waited for.
+    ring_fill : float
+        How full the recording's ring is, 0 to 1.
+    """
+
+    elapsed_s: float
+    stats: Stats
+    rates: Rates
+    bytes_in: int
+    bytes_recorded: int
+    bytes_passed: int
+    bytes_vanished: int
+    bytes_unsure: int
+    bytes_lost: int
+    gaps: int
+    gaps_unknown: int
     triggers: int
-    files: int  # that were opened
-    files_kept: tuple[str, ...]  # the paths of those that are there, oldest first
+    files: int
+    files_kept: tuple[str, ...]
     files_vanished: int
-    file: str  # the path of the open one, "" for none
-    file_bytes: int  # in the open one
-    last_file: str  # the path of the one that was opened last
-    recording: bool  # whether what comes is recorded, and does not wait for a trigger
-    away: bool  # the device is gone, and waited for
-    ring_fill: float  # how full the recording's ring is, 0 to 1
+    file: str
+    file_bytes: int
+    last_file: str
+    recording: bool
+    away: bool
+    ring_fill: float
 
 
 class RecordingJob:
     """Rounds of reading a stream, recording its bytes, and telling what happens.
 
-    `tell` is called with each event; without it warnings are those of Python. For one thread.
+    A context manager, for one thread: at its end it records what is held, and closes the file.
+    An OSError of the disk then tells what is recorded. `tell` is called with each event.
     """
 
     def __init__(
@@ -234,57 +319,78 @@ class RecordingJob:
         clock: HostClock,
         *,
         bitrate: int | None,
-        tell: Callable[[RecorderEvent], None] | None,
+        tell: OnEvent,
     ) -> None:
         self._stream, self._files, self._clock, self._tell = stream, files, clock, tell
-        self._filters = [text for text in config.triggers if text != _ERROR]
+        self._filters = [each for each in config.triggers if each != _ERROR]
         self._errors = _ERROR in config.triggers
-        self._steps = ClockSteps(clock)
         self._begin = time.monotonic()
         self._meter = Meter(bitrate, self._begin)
         self._room = np.empty(_ROOM, FRAME_DTYPE)
         self._gaps = self._gaps_unknown = 0
         self._away = self._told_memory = False
         self._gap_end = 0  # bytes that had come when the device went away
+        self._ended = False
         stream.on_bytes = files.write
-        if tell is not None:
-            stream.on_warning = self._warn
+        stream.on_warning = self.warn
+        stream.on_clock_set = self._clock_was_set
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            self._stream.tell_missing()
+            self._files.close()
+        finally:
+            self._ended = True
+            try:
+                self._tell_files()
+            finally:
+                error = self._files.error
+                if isinstance(error, OSError):
+                    raise self._explain(error) from error
 
     def start(self) -> None:
-        """Open the first file, where none waits for a trigger."""
-        self._files.start(self._clock())
-        self._tell_files()
+        """Open the first file, where none waits for a trigger; its event comes with `step`.
+
+        Raises what has ended the stream already; no file is made then.
+        """
+        if (error := self._stream.end_error()) is not None:
+            raise error
+        now = self._clock()
+        # The port may have been opened before the clock was set.
+        self._files.clock_was_set(self._stream.steps.look(), now)
+        self._files.start(now)
 
     def step(self, timeout: float) -> None:
         """Record what comes within this time, in seconds.
 
         Raises what ends the stream, and OSError of the disk.
         """
-        stream, room = self._stream, self._room
+        self._tell_files()
         deadline = time.monotonic() + timeout
         try:
-            stream.read(len(room), len(room), deadline)
+            self._stream.read(_ROOM, _ROOM, deadline)
         finally:
-            self._take(room[: stream.take_into(room)])
+            self._take()
 
-    def drain(self) -> None:
-        """Record what the line has delivered: some may wait in the system, or in the ring."""
-        end = time.monotonic() + _DRAIN_S
-        while True:
-            before, left = self._files.bytes_in, end - time.monotonic()
-            self.step(_QUIET_S if left > 0 else 0)
-            after = self._files.bytes_in
-            # Not between a byte that is recorded and the frame that it belongs to.
-            if after == self._stream.decoder.position and (after == before or left <= 0):
-                return
+    def drain(self, stop: Callable[[], object]) -> None:
+        """Record what the line has delivered: some may wait in the system, or in the ring.
 
-    def close(self) -> None:
-        """Record what is held, and close the file. May be called again."""
-        self._stream.tell_missing()
-        try:
-            self._files.close()
-        finally:
-            self._tell_files()
+        `stop` lets no more bytes into the ring. Without it a line that is faster than the disk
+        would keep this from its end.
+        """
+        end, stream = time.monotonic() + _DRAIN_S, self._stream
+        quiet = False
+        while not quiet and (left := end - time.monotonic()) > 0:
+            before = self._files.bytes_in
+            self.step(min(_QUIET_S, left))
+            quiet = self._files.bytes_in == before and not len(stream.ring)
+        stop()
+        while len(stream.ring) or stream.ring.at_gap:
+            stream.decode(_ROOM)
+            self._take()
 
     @property
     def status(self) -> RecorderStatus:
@@ -304,7 +410,8 @@ class RecordingJob:
             gaps_unknown=self._gaps_unknown,
             triggers=files.triggers,
             files=files.files,
-            files_kept=tuple(files.files_kept),
+            # Each look at the disk takes a microsecond or more a file.
+            files_kept=tuple(files.files_kept if self._ended else files.files_made),
             files_vanished=files.vanished,
             file=files.file,
             file_bytes=files.file_bytes,
@@ -314,7 +421,7 @@ class RecordingJob:
             ring_fill=self._stream.ring.fill,
         )
 
-    def explain(self, error: OSError) -> OSError:
+    def _explain(self, error: OSError) -> OSError:
         """Return an error of the disk with what became of the bytes."""
         files = self._files
         elsewhere = files.bytes_passed + files.bytes_vanished
@@ -326,18 +433,17 @@ class RecordingJob:
         else:
             rest = f"what was written is good, the last {missing:,} bytes are not in it"
         where = error.filename or files.last_file
-        return OSError(f"STOPPED: {where}: {error.strerror or error}; {rest}")
+        stopped = OSError(f"STOPPED: {where}: {error.strerror or error}; {rest}")
+        stopped.errno = error.errno
+        return stopped
 
-    def _take(self, frames: FrameArray) -> None:
-        """Count frames, and record the bytes that they came in."""
+    def _take(self) -> None:
+        """Count the frames that are decoded, and record the bytes that they came in."""
+        frames = self._room[: self._stream.take_into(self._room)]
         files, now = self._files, self._clock()
         self._meter.add(frames, files.bytes_in, time.monotonic())
         triggers = self._find_triggers(frames)
         self._tell_gaps()
-        if step_ns := self._steps.look():
-            text = f"{describe_step(step_ns)}; times go on as before, until the next file"
-            self._event("clock_set", text, now, step_ns=step_ns)
-            files.clock_was_set(step_ns, now)
         files.advance(self._stream.loop.border, now, triggers)
         self._tell_files()
 
@@ -354,19 +460,28 @@ class RecordingJob:
             said = adapters.report(protocol, data)
             if said.kind == "error":
                 ts = self._files.arrival_of(offset)
-                text = f"the adapter reports error {said.number}"
-                self._event("error", text, ts, number=said.number)
+                told = f"the adapter reports error {said.number}"
+                self._event("error", told, ts, number=said.number)
                 times += [ts] if self._errors else []
         return sorted(times)
 
-    def _event(self, kind: str, text: str, ts: int, **facts: Any) -> None:
-        if self._tell is not None:
-            self._tell(RecorderEvent(kind, text, ts, **facts))
-        elif kind in ("warning", "clock_set"):
-            warnings.warn(f"{self._stream.url}: {text}", CanserWarning, stacklevel=6)
+    def _event(self, kind: str, told: str, ts: int, **facts: Any) -> None:
+        """Tell of something; `ts`: of the clock that does not step."""
+        self._tell(RecorderEvent(kind, told, self._as_set(ts), **facts))
 
-    def _warn(self, text: str) -> None:
-        self._event("warning", text, self._clock())
+    def _as_set(self, ts: int) -> int:
+        """Return a time as the host's clock has it, which may have been set meanwhile."""
+        return ts + self._stream.steps.ahead_ns
+
+    def warn(self, told: str) -> None:
+        """Tell of something that is wrong."""
+        self._event("warning", told, self._clock())
+
+    def _clock_was_set(self, step_ns: int) -> None:
+        now = self._clock()
+        self._files.clock_was_set(step_ns, now)
+        told = f"{self._stream.url}: {describe_step(step_ns)}; {_CLOCK_TEXT}"
+        self._event("clock_set", told, now, step_ns=step_ns)
 
     def _tell_gaps(self) -> None:
         gaps, url = self._stream.gaps, self._stream.url
@@ -375,11 +490,11 @@ class RecordingJob:
             self._gaps += 1
             self._gaps_unknown += gap.lost < 0
             self._away = gap.reason == "reconnect"
-            text = _gap_text(gap)
+            told = _gap_text(gap)
             if self._away:
-                text += f"; waiting for {url}"
+                told += f"; waiting for {url}"
             facts = {"offset": gap.offset, "lost": gap.lost, "reason": gap.reason}
-            self._event("gap", text, gap.ts, **facts)
+            self._event("gap", told, gap.ts, **facts)
             self._gap_end = self._files.bytes_in
         if self._away and self._files.bytes_in > self._gap_end:
             self._away = False
@@ -391,7 +506,7 @@ class RecordingJob:
             event = files.events.popleft()
             self._event(
                 event.kind,
-                _file_text(event),
+                _file_text(event, self._as_set(event.ts)),
                 event.ts,
                 path=event.path,
                 lost=event.lost,
@@ -399,9 +514,9 @@ class RecordingJob:
             )
         if files.out_of_memory and not self._told_memory:
             self._told_memory = True
-            self._warn(
-                f"{MEMORY >> 20} MiB are too little for all that came before a trigger; "
-                "less than `before` says is recorded"
+            self.warn(
+                f"{self._stream.url}: {MEMORY >> 20} MiB are too little for all that came before "
+                "a trigger; less than `before` says is recorded"
             )
 
 
@@ -410,9 +525,9 @@ def _gap_text(gap: Gap) -> str:
     return f"gap: {lost} at byte {gap.offset:,}: {_GAP_REASONS[gap.reason]}"
 
 
-def _file_text(event: FileEvent) -> str:
+def _file_text(event: FileEvent, ts: int) -> str:
     if event.kind == "trigger":
-        return f"trigger at {datetime.fromtimestamp(event.ts / 1e9).astimezone():%H:%M:%S.%f}"
+        return f"trigger at {datetime.fromtimestamp(ts / 1e9).astimezone():%H:%M:%S.%f}"
     if event.kind != "vanished":
         return f"{_FILE_TEXTS[event.kind]} {event.path}"
     if event.renamed:

@@ -1,26 +1,27 @@
 """A recording as the whole job of a program: `canser.record`."""
 
+import os
 import time
 from collections.abc import Callable
-from typing import Final, Unpack, cast
+from typing import Unpack, cast
 
+from canser._checks import callback, instance, whole
 from canser._checks import timeout as check_seconds
 from canser._core.table import find_protocol
 from canser.live.config import LineConfig, PortOptions, adapter_config
 from canser.live.ports import open as open_port
-from canser.live.recorder import OnEvent
 from canser.live.recording import (
+    ROUND_S,
+    OnEvent,
     RecordConfig,
     RecorderStatus,
     RecordingJob,
     RecordOptions,
+    warn_of,
 )
 from canser.recording.header import RecordingInfo
 
 __all__ = ["JobOptions", "record"]
-
-# The time between two looks at whether the job shall end, and between two statuses.
-_ROUND_S: Final = 0.2
 
 
 class JobOptions(RecordOptions, PortOptions, total=False):
@@ -30,7 +31,7 @@ class JobOptions(RecordOptions, PortOptions, total=False):
 def record(
     url: str,
     protocol: str,
-    path: str,
+    path: str | os.PathLike[str],
     *,
     duration: float | None = None,
     stop: Callable[[], bool] | None = None,
@@ -45,7 +46,7 @@ def record(
     ----------
     url, protocol : str
         As for `canser.open`.
-    path : str
+    path : str or path
         A name that ends in `.pcapng`.
     duration : float, optional
         Seconds until the end; None: until `stop`, or an error.
@@ -57,7 +58,8 @@ def record(
     on_event : callable, optional
         Is called with each `RecorderEvent`. Without it warnings are those of Python.
     on_status : callable, optional
-        Is called with a `RecorderStatus` five times a second, and once at the end.
+        Is called with a `RecorderStatus` five times a second, and once at the end, after the file
+        is closed, whatever has ended the recording.
     **options
         `bitrate`, `config`, `line`, `ts_unit` and `reconnect` as for `canser.open`; `size`,
         `time`, `keep`, `triggers`, `before`, `after` and `force` as for `RecordConfig`.
@@ -79,6 +81,9 @@ def record(
         For a path that will not do.
     OSError
         When the disk is full, or away. The message tells what is recorded.
+    Exception
+        Whatever `stop`, `on_event` and `on_status` raise, and KeyboardInterrupt: they end the
+        recording, and the file is closed.
 
     Examples
     --------
@@ -88,13 +93,23 @@ def record(
     (0, ('run.pcapng',))
     """
     seconds = check_seconds(duration, "duration")
+    callback(stop, "stop", "nothing")
+    callback(on_event, "on_event", "an event")
+    callback(on_status, "on_status", "a status")
+    for name in options:
+        if name not in JobOptions.__annotations__:
+            raise TypeError(f"record() got an unexpected keyword argument {name!r}")
     names = RecordOptions.__annotations__.keys()
     for_files = {name: value for name, value in options.items() if name in names}
     for_port = {name: value for name, value in options.items() if name not in names}
     config = RecordConfig(**cast(RecordOptions, for_files))
-    row, line = find_protocol(protocol), options.get("line") or LineConfig()
+    row, line = find_protocol(protocol), options.get("line")
+    line = LineConfig() if line is None else instance(line, "line", LineConfig)
     adapter = adapter_config(options.get("bitrate"), options.get("config"))
-    bitrate = bus_bitrate if adapter is None else adapter.bitrate
+    bitrate = None if adapter is None else adapter.bitrate
+    if bus_bitrate is not None:
+        bus_bitrate = whole(bus_bitrate, "bus_bitrate", "500000", least=1)
+        bitrate = bus_bitrate if bitrate is None else bitrate
     info = RecordingInfo(
         protocol=row.name,
         baudrate=line.baudrate or row.baudrate,
@@ -105,18 +120,18 @@ def record(
     # Before the port is opened: what is wrong with the path is told, and nothing is made.
     files = config.make_files(path, info)
     with open_port(url, protocol, **cast(PortOptions, for_port)) as port, port._reading:
-        job = RecordingJob(port._stream, files, config, port._clock, bitrate=bitrate, tell=on_event)
+        job = RecordingJob(
+            port._stream, files, config, port._clock, bitrate=bitrate, tell=on_event or warn_of
+        )
         try:
-            try:
+            with job:
                 _follow(job, seconds, stop, on_status)
-            finally:
-                job.close()
-        except OSError as error:
-            raise job.explain(error) from error
+                job.drain(port.close)
         finally:
+            status = job.status
             if on_status is not None:
-                on_status(job.status)
-        return job.status
+                on_status(status)
+    return status
 
 
 def _follow(
@@ -128,10 +143,9 @@ def _follow(
     job.start()
     end = None if duration is None else time.monotonic() + duration
     while stop is None or not stop():
-        left = _ROUND_S if end is None else end - time.monotonic()
+        left = ROUND_S if end is None else end - time.monotonic()
         if left <= 0:
             break
-        job.step(min(left, _ROUND_S))
+        job.step(min(left, ROUND_S))
         if on_status is not None:
             on_status(job.status)
-    job.drain()

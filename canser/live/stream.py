@@ -18,6 +18,7 @@ from canser.codec.doubt import is_doubtful
 from canser.errors import CanserWarning, PortError
 from canser.live.ring import Gap, Read, Ring
 from canser.live.setup import SILENCE_S, Setup
+from canser.timing.host import ClockSteps, describe_step
 from canser.timing.loop import TimedDecoder
 
 __all__ = ["LiveStream", "OnBytes", "Watchdog"]
@@ -45,6 +46,9 @@ _PATIENCE_PERIODS: Final = 2.5
 # While an adapter is set up, a wait looks this often whether the adapter has answered.
 _LOOK_EVERY_S: Final = 0.1
 
+# The time between two looks at whether the host's clock was set.
+_CLOCK_S: Final = 1.0
+
 # Frames come soon if they are due within this time, at the rate of those before.
 _SOON_S: Final = 0.02
 
@@ -65,6 +69,8 @@ class LiveStream:
 
     Frames are decoded into an array of the stream's own, and stay there until they are taken:
     no exception, of `on_bytes` or by Ctrl-C, loses a byte or a frame.
+
+    `steps`: of the system's clock, against the one that times in the ring are of.
     """
 
     def __init__(
@@ -73,6 +79,7 @@ class LiveStream:
         ring: Ring,
         loop: TimedDecoder,
         *,
+        steps: ClockSteps,
         on_bytes: OnBytes | None,
         watchdog: Watchdog | None,
         setup: Setup | None,
@@ -98,7 +105,10 @@ class LiveStream:
         self._searching = False  # the ping is lost: look for it among the bytes
         self._looked = (0, 0)  # bytes in and skipped when the share was last looked at
         self._warned: set[str] = set()
-        self.on_warning: Callable[[str], None] | None = None  # None: Python's warnings
+        self.steps, self._steps_due = steps, 0.0
+        # None: Python's warnings.
+        self.on_warning: Callable[[str], None] | None = None
+        self.on_clock_set: Callable[[int], None] | None = None  # given nanoseconds forward
 
     # Frames
 
@@ -127,7 +137,7 @@ class LiveStream:
             count = self.decode(most)
             if count >= least:
                 return count
-            error = self._end_error()
+            error = self.end_error()
             if error is not None:
                 count = self._end(most)
                 if count:
@@ -161,6 +171,7 @@ class LiveStream:
             self._keep_controls()
             self._assign_times()
         self._look_at_share()
+        self._look_at_clock()
         return self.ready
 
     def _end(self, most: int) -> int:
@@ -308,7 +319,7 @@ class LiveStream:
                 "start again. Is the adapter on, and the baud rate right?",
             )
 
-    def _end_error(self) -> Exception | None:
+    def end_error(self) -> Exception | None:
         """Return what has ended the stream, if all that came before is taken."""
         error = self.ring.error
         if error is None:
@@ -348,11 +359,30 @@ class LiveStream:
                 "are the baud rate and the protocol right?",
             )
 
+    def _look_at_clock(self) -> None:
+        """See whether the host's clock was set; tell each time that it was."""
+        now = time.monotonic()
+        if now < self._steps_due:
+            return
+        self._steps_due = now + _CLOCK_S
+        step_ns = self.steps.look()
+        if not step_ns:
+            return
+        if self.on_clock_set is not None:
+            self.on_clock_set(step_ns)
+            return
+        self._warn(
+            "",
+            f"{self.url}: {describe_step(step_ns)} while the port is open; times go on as "
+            "before; open the port again for the new time",
+        )
+
     def _warn(self, kind: str, text: str, *, stacklevel: int = 6) -> None:
-        """Warn, once of each kind."""
+        """Warn, once of each kind; of "" each time."""
         if kind in self._warned:
             return
-        self._warned.add(kind)
+        if kind:
+            self._warned.add(kind)
         if self.on_warning is not None:
             self.on_warning(text)
         else:

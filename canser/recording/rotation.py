@@ -145,6 +145,8 @@ class RecordingFiles(Uncopied):
         self.files = 0  # that were opened
         self.out_of_memory = False  # MEMORY was too small for all that came before a trigger
         self.events: deque[FileEvent] = deque()  # for the caller to take
+        # What has stopped it: an error of the disk; or an interrupt, perhaps within a block.
+        self.error: BaseException | None = None
         self._recorded = 0  # in files that are closed
         self._fresh: deque[DataBlock] = deque()  # not known to be decoded
         self._settled = 0  # the stream offset of the first byte in there
@@ -160,7 +162,6 @@ class RecordingFiles(Uncopied):
         # What the system's clock is ahead of the one that times are from, and how far it was when
         # the open file began.
         self._ahead_ns = self._file_ahead_ns = 0
-        self._broken = False  # the disk is full, or away
         self._old: OldFile | None = None  # what `force` set aside for the open file
         self._own: deque[_Own] = deque()  # files of this run that are there
 
@@ -170,7 +171,8 @@ class RecordingFiles(Uncopied):
         if self._writer is None:
             return self._recorded
         writer = self._writer
-        return self._recorded + (writer.bytes_synced if self._broken else writer.bytes_written)
+        written = writer.bytes_written if self.error is None else writer.bytes_synced
+        return self._recorded + written
 
     @property
     def file(self) -> str:
@@ -192,6 +194,11 @@ class RecordingFiles(Uncopied):
         """The paths of the files of this run that are there, oldest first."""
         return [own.path for own in self._own if own.is_there()]
 
+    @property
+    def files_made(self) -> list[str]:
+        """The paths of the files of this run that it has not deleted; the disk is not asked."""
+        return [own.path for own in self._own]
+
     def start(self, now_ns: int) -> None:
         """Open the first file, where none waits for a trigger."""
         if self._window_ns is None:
@@ -212,7 +219,7 @@ class RecordingFiles(Uncopied):
         moves on; they are recorded in any case.
         """
         self._move_on(border, triggers)
-        if self._writer is not None and not self._broken:
+        if self._writer is not None and self.error is None:
             with self._breaking():
                 self._writer.poll(now_ns + self._file_ahead_ns)
             self._settle_old(self._writer, closed=False)
@@ -220,7 +227,7 @@ class RecordingFiles(Uncopied):
                 self._replace(now_ns)
 
     def _move_on(self, border: int, triggers: Iterable[int] = ()) -> None:
-        if self._broken:
+        if self.error is not None:
             return
         segment = self._settle(border)
         if self._window_ns is None:
@@ -244,7 +251,7 @@ class RecordingFiles(Uncopied):
         The open one goes on in the time that it began with, and has a note of it.
         """
         self._ahead_ns += step_ns
-        if self._writer is not None and not self._broken:
+        if self._writer is not None and self.error is None:
             with self._breaking():
                 self._writer.note(
                     f"{describe_step(step_ns)}; this recording goes on as before",
@@ -265,7 +272,7 @@ class RecordingFiles(Uncopied):
         try:
             if self._window_ns is not None or self._writer is not None:
                 self._move_on(self.bytes_in)
-            while self._waiting and not self._broken:
+            while self._waiting and self.error is None:
                 self._pass_oldest()
         finally:
             self._close_file()
@@ -336,7 +343,7 @@ class RecordingFiles(Uncopied):
             self._write([block], block.arrival_ns, len(block.data))
 
     def _write(self, blocks: list[DataBlock], begin_ns: int, size: int) -> None:
-        if self._writer is None or self._is_full(blocks[-1].arrival_ns, size):
+        if self._writer is None or self._is_full(blocks, size):
             self._close_file()
             self._open(begin_ns)
         assert self._writer is not None
@@ -348,14 +355,16 @@ class RecordingFiles(Uncopied):
         self._file_bytes += size
         self._last_ns = blocks[-1].arrival_ns
 
-    def _is_full(self, end_ns: int, size: int) -> bool:
+    def _is_full(self, more: list[DataBlock], size: int) -> bool:
+        """Return whether bytes, and blocks of which they are, are too many for the open file."""
         assert self._writer is not None
         if not self._file_bytes:
             return False
-        if self._period_ns is not None and end_ns - self._file_ns > self._period_ns:
+        if self._period_ns is not None and more[-1].arrival_ns - self._file_ns > self._period_ns:
             return True
-        # The open chunk is one block, and what is to come may be one more.
-        overhead = _FILE_OVERHEAD + (self._writer.blocks_written + 2) * _BLOCK_OVERHEAD
+        # The open chunk is one block more, and each read that is to come may be one.
+        blocks = self._writer.blocks_written + 1 + len(more)
+        overhead = _FILE_OVERHEAD + blocks * _BLOCK_OVERHEAD
         return self._size is not None and self._file_bytes + size + overhead > self._size
 
     def _replace(self, now_ns: int) -> None:
@@ -364,8 +373,8 @@ class RecordingFiles(Uncopied):
         self._close_file()
         with contextlib.suppress(PermissionError):  # not even that can be told
             if is_locked(Path(file)):
-                self._broken = True
-                raise OSError(errno.EBUSY, "another program records into it now", file)
+                self.error = OSError(errno.EBUSY, "another program records into it now", file)
+                raise self.error
         if self._window_ns is None:
             self._open(now_ns)
 
@@ -463,13 +472,13 @@ class RecordingFiles(Uncopied):
 
     @contextlib.contextmanager
     def _breaking(self) -> Iterator[None]:
-        """Let nothing more be recorded after an error of the disk."""
+        """Let nothing more be recorded after an error of the disk, or an interrupt."""
         try:
             yield
         except FileExistsError:
             raise
-        except OSError:
-            self._broken = True
+        except BaseException as error:
+            self.error = error
             raise
 
     def _name(self, number: int) -> Path:
