@@ -182,7 +182,7 @@ def test_a_configuration(name: str, value: object) -> None:
 
 CALLS: dict[str, dict[str, list[Any]]] = {
     "read_batch": {
-        "max_frames": [*NOT_WHOLE, 0, 10**15, 10**30],
+        "max_frames": [*NOT_WHOLE, 0],
         "min_frames": [*NOT_WHOLE, -1],
         "timeout": ["x", True, math.nan, [1]],
     },
