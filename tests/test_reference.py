@@ -270,13 +270,13 @@ def find_spans(protocol: str, pieces: list[bytes], rooms: list[int]) -> list[tup
     for piece in [*pieces, None]:
         rest = piece
         while rest or (rest is None and decoder.pending):
-            before = decoder.frames
+            before = decoder.counters.frames
             rows[:] = -1
             if rest is None:
                 decoder.flush_room(room, 0, next(most))
             else:
                 rest = rest[decoder.feed_room(rest, room, 0, next(most)) :]
-            count = decoder.frames - before
+            count = decoder.counters.frames - before
             spans += zip(*rows[:, :count].tolist(), strict=True)
             assert (rows[:, count:] == -1).all()
     return spans

@@ -269,6 +269,7 @@ def microseconds(truth: Times) -> tuple[Times, bytes]:
 def test_a_port_after_a_silence(device_time: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     now = EPOCH
     monkeypatch.setattr(ports, "HostClock", lambda: lambda: now)
+    monkeypatch.setattr("canser.timing.host.time.time_ns", lambda: now)  # it is not set
     truth = EPOCH + np.arange(60) * 10 * MS
     truth[40:] += 40 * MINUTE
     device, raw = microseconds(truth)

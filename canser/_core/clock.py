@@ -128,24 +128,23 @@ assert ffi.sizeof("canser_sample") == _SAMPLE_DTYPE.itemsize
 
 
 class Sampler:
-    """The least late frame of each piece, as a clock learns from. See canser_times_sample."""
+    """The least late frame of each piece, of which a clock learns: gathered until they are taken.
+
+    See canser_times_sample.
+    """
 
     def __init__(self) -> None:
+        self.count = 0  # samples
         self._sampler = ffi.new("canser_sampler *")
-        self._count = ffi.new("size_t *")
+        self._found = ffi.new("size_t *")
         self._samples = np.empty(0, _SAMPLE_DTYPE)
+        self._make_room(256)
 
-    def sample(
-        self, pieces: Times, at: Times, device: Times, arrivals: Times
-    ) -> tuple[Times, Times, Times, Times]:
-        """Return the samples, good until the next call.
-
-        `pieces`: as of `find_arrivals`, and so `at` and `arrivals`. Returns device times, arrivals,
-        by how much each was counted back from the last frame of its piece, and the indices of the
-        first frames behind the pieces.
-        """
-        if len(self._samples) < len(at):
-            self._samples = np.empty(len(at), _SAMPLE_DTYPE)
+    def add(self, pieces: Times, at: Times, device: Times, arrivals: Times) -> None:
+        """Take the samples of some frames; `pieces`, `at` and `arrivals` as of `find_arrivals`."""
+        if len(self._samples) - self.count < len(at):
+            # In large steps: pages that are not written to take no memory, and copies do.
+            self._make_room(4 * (self.count + len(at)))
         status = lib.canser_times_sample(
             self._sampler,
             ffi.from_buffer("canser_piece[]", pieces),
@@ -154,14 +153,45 @@ class Sampler:
             len(at),
             ffi.from_buffer("int64_t[]", device),
             ffi.from_buffer("int64_t[]", arrivals),
-            ffi.from_buffer("canser_sample[]", self._samples),
-            self._count,
+            self._samples_at + self.count,
+            self._found,
         )
         if status:
             raise_status(status)
-        found = self._samples[: self._count[0]]
-        return found["device"], found["arrival"], found["counted"], found["index"]
+        self.count += self._found[0]
+
+    def arrival(self, number: int) -> int:
+        """Return when a sample had arrived."""
+        return int(self._samples_at[number].arrival)
+
+    def index(self, number: int) -> int:
+        """Return which frame of the last `add` was the first one behind the sample's piece."""
+        return int(self._samples_at[number].index)
+
+    def count_before(self, ns: int) -> int:
+        """Return how many samples had arrived before a time; they are in that order."""
+        return int(self._samples["arrival"][: self.count].searchsorted(ns))
+
+    def take(self, count: int) -> Times:
+        """Remove the first samples; return rows of them.
+
+        Device times, arrivals, how far these were counted back, and arrivals less device times.
+        """
+        taken, rest = self._samples[:count], self._samples[count : self.count]
+        rows = np.empty((4, count), np.int64)
+        rows[:3] = taken["device"], taken["arrival"], taken["counted"]
+        np.subtract(rows[1], rows[0], out=rows[3])
+        self.count = len(rest)
+        self._samples[: self.count] = rest.copy()
+        return rows
 
     def reset(self) -> None:
-        """Forget the piece that the last frame was in."""
+        """Forget the samples, and the piece that the last frame was in."""
         self._sampler.count = 0
+        self.count = 0
+
+    def _make_room(self, cap: int) -> None:
+        samples = np.empty(cap, _SAMPLE_DTYPE)
+        samples[: self.count] = self._samples[: self.count]
+        self._samples = samples
+        self._samples_at = ffi.from_buffer("canser_sample[]", samples)

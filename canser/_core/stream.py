@@ -50,7 +50,7 @@ class Stream:
         self.protocol = protocol
         self._tick_ns = tick_ns
         self._state = ffi.new("canser_decoder *")
-        self.counters_at = self._state.stats  # canser_stats
+        self.counters_now = self._state.stats  # canser_stats
         # The batch and the bytes used, in one piece: what a call has found is read at
         # once, for each read costs as much as the decoding of some frames.
         self._memory = ffi.new("size_t[]", _BATCH_WORDS + 1)
@@ -150,12 +150,12 @@ class Stream:
     @property
     def position(self) -> int:
         """The stream offset behind all bytes taken."""
-        return int(self.counters_at.bytes_in)
+        return int(self.counters_now.bytes_in)
 
     @property
     def skipped(self) -> int:
         """Bytes inside no packet."""
-        return int(self.counters_at.bytes_skipped)
+        return int(self.counters_now.bytes_skipped)
 
     @property
     def pending(self) -> int:
@@ -164,7 +164,7 @@ class Stream:
 
     def counters(self) -> dict[str, Any]:
         """Return every field of `Stats` by name."""
-        stats = self.counters_at
+        stats = self.counters_now
         values = {name: getattr(stats, name) for name, _ in ffi.typeof("canser_stats").fields}
         values["rejects"] = dict(zip(REJECT_NAMES, stats.rejects, strict=True))
         values["pending"] = self.pending

@@ -6,7 +6,7 @@ import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -233,9 +233,9 @@ class Decoder(Uncopied):
         return self._stream.position
 
     @property
-    def frames(self) -> int:
-        """Frames so far: `stats.frames`, without the rest."""
-        return int(self._stream.counters_at.frames)
+    def counters(self) -> Any:
+        """The counters in C's memory, for this package's own use: they change as it decodes."""
+        return self._stream.counters_now
 
     @property
     def skipped(self) -> int:

@@ -198,6 +198,11 @@ class Ring:
             self._end - self._begin >= self._wanted or bool(self._gaps) or self._error is not None
         )
 
+    @property
+    def idle(self) -> bool:
+        """Whether there is nothing to take."""
+        return self._begin == self._end and not self._gaps
+
     def peek(self) -> tuple[memoryview, list[Read]]:
         """Return bytes in one piece of memory, up to a gap, and the reads not seen before."""
         with self._lock:

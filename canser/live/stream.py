@@ -130,7 +130,7 @@ class LiveStream:
         Waits for `least`, until the deadline (of time.monotonic(); None: for ever). Raises
         what has ended the stream, after all that came before is taken.
         """
-        begin, start, had = time.monotonic(), self.decoder.position, self.ready
+        begin, start, had = time.monotonic(), self.loop.position, self.ready
         while True:
             self._watch()
             self.tell_silence(5)
@@ -143,7 +143,7 @@ class LiveStream:
                 if count:
                     return count
                 raise error
-            missing, came = least - count, self.decoder.position - start
+            missing, came = least - count, self.loop.position - start
             if came and count > had:
                 # Where all will be there soon, wait for the bytes that they have on average:
                 # waking for the fewest that may do would be many times for nothing.
@@ -165,11 +165,13 @@ class LiveStream:
         limit = self._make_room(most)
         try:
             self._decode(limit)
-        finally:
-            # An exception may have come behind the decoder's work, and before this.
-            self.ring.release_to(self.decoder.position)
+        except BaseException:
+            # It may have come behind the decoder's work, and before what is done for that.
+            self.ring.release_to(self.loop.position)
             self._keep_controls()
             self._assign_times()
+            raise
+        self._assign_times()
         self._look_at_share()
         self._look_at_clock()
         return self.ready
@@ -194,8 +196,10 @@ class LiveStream:
 
         Returns where they end in the array.
         """
-        ready, loop = self.ready, self.loop
-        if loop.untimed:
+        loop = self.loop
+        count = loop.count
+        ready = count - self._taken
+        if loop.timed < count:
             loop.assign_times()  # an exception came before that
         if self._taken and not ready:
             loop.restart()
@@ -210,13 +214,13 @@ class LiveStream:
 
     def _decode(self, limit: int) -> None:
         """Decode what the ring holds until the array has `limit` frames."""
-        loop = self.loop
-        while loop.count < limit:
+        loop, ring = self.loop, self.ring
+        while not ring.idle and loop.count < limit:
             data = self._peek()
             if not len(data):
-                if self.ring.at_gap:
+                if ring.at_gap:
                     self._flush(limit)  # it will never be whole
-                if self.decoder.pending or (gap := self.ring.take_gap()) is None:
+                if self.decoder.pending or (gap := ring.take_gap()) is None:
                     break
                 self._pass(gap)
                 continue
@@ -229,13 +233,13 @@ class LiveStream:
             elif self._searching:
                 data = data[:_SEARCH]
             loop.feed(data, limit)
-            self.ring.release_to(self.decoder.position)
+            ring.release_to(loop.position)
             self._keep_controls()
 
     def _peek(self) -> memoryview:
         """Return the next bytes of the ring, and tell of those that are new."""
         data, reads = self.ring.peek()
-        begin = self.decoder.position
+        begin = self.loop.position
         self._untold.extend(reads)
         while self._untold:  # some may be left by an exception
             read = self._untold.popleft()
@@ -262,7 +266,7 @@ class LiveStream:
 
     def _assign_times(self) -> None:
         """Give the frames that are new their times."""
-        if self.loop.untimed or self._fresh:
+        if self._fresh or self.loop.timed < self.loop.count:
             self._fresh = False
             self.loop.assign_times()
             if self.loop.clock.remark is not None:
@@ -346,7 +350,7 @@ class LiveStream:
             )
 
     def _look_at_share(self) -> None:
-        position, (bytes_in, skipped) = self.decoder.position, self._looked
+        position, (bytes_in, skipped) = self.loop.position, self._looked
         if position - bytes_in < _WRONG_BYTES:
             return
         self._looked = position, self.decoder.skipped

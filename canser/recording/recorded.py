@@ -104,7 +104,7 @@ class RecordedFrames:
             while done < size:
                 most = min(loop.count + _TIMED_AT_ONCE, len(self._out))
                 done += loop.feed(run.data[done:], most)
-                if loop.untimed >= _TIMED_AT_ONCE:
+                if loop.count - loop.timed >= _TIMED_AT_ONCE:
                     loop.assign_times()
                 if loop.count == len(self._out):
                     yield self._hand_over()

@@ -167,7 +167,7 @@ class FrameClock:
         self._device_time = device_time
         self._relearned = False  # since it is known that the line has no bit rate of its own
         self._arrived = NEVER_NS  # when the last frame had come
-        self._times = np.empty((2, 0), np.int64)
+        self._device = self._times = np.empty(0, np.int64)
 
     @property
     def by_begin(self) -> bool:
@@ -200,9 +200,9 @@ class FrameClock:
             )
         count = len(frames)
         if count:
-            if self._times.shape[1] < count:
-                self._times = np.empty((2, count), np.int64)
-            device, times = self._times[:, :count]
+            if len(self._times) < count:
+                self._device, self._times = np.empty((2, count), np.int64)
+            device, times = self._device[:count], self._times[:count]
             arrivals.find(at, times)
             if self._turns is not None:
                 device[:] = frames["ts"]
@@ -247,33 +247,6 @@ class FrameClock:
         return sorted(borders)
 
 
-class _Bucket:
-    """Samples by which a clock is estimated. Its arrays are kept for the next ones."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._rows = np.empty((4, 256), np.int64)
-
-    def add(self, *samples: Times) -> None:
-        """Take device times, arrivals, and how far these were counted back."""
-        begin, self.count = self.count, self.count + len(samples[0])
-        if self.count > self._rows.shape[1]:
-            # In large steps: pages that are not written to take no memory, and copies do.
-            rows = np.empty((4, 4 * self.count), np.int64)
-            rows[:3, :begin] = self._rows[:3, :begin]
-            self._rows = rows
-        for row, values in zip(self._rows, samples, strict=False):
-            row[begin : self.count] = values
-
-    def take(self) -> Times:
-        """Empty it; return rows as of `add`, and delays, good until the next `add`."""
-        rows = self._rows[:, : self.count]
-        self.count = 0
-        device, arrivals, _, delays = rows
-        np.subtract(arrivals, device, out=delays)
-        return rows
-
-
 class _DeviceClock:
     """The estimate of a device's clock, and host times by it; see the module's docstring."""
 
@@ -282,8 +255,6 @@ class _DeviceClock:
         self.remark: str | None = None
         self._line = ClockLine(_TOLERANCE_NS, NEVER_NS)
         self._sampler = Sampler()
-        self._bucket = _Bucket()
-        self._opened = 0  # when it began
         # Buckets are short until a second has passed since the first one, or the first after a gap.
         self._settled = False
         self._since: int | None = None
@@ -304,28 +275,30 @@ class _DeviceClock:
     def follow(self, pieces: Times, at: Times, device: Times, times: Times) -> None:
         """Turn the arrivals of the next frames into host times, in place, and learn from them.
 
-        `pieces`, `at`: where the reads end and the frames begin, as `Sampler.sample` takes them.
+        `pieces`, `at`: where the reads end and the frames begin, as `Sampler.add` takes them.
         """
-        known, arrived, counted, behind = self._sampler.sample(pieces, at, device, times)
-        done = used = 0
-        while used < len(known):
-            if not self._bucket.count:
-                self._opened = int(arrived[used])
-            # A bucket's last sample is the first one with enough samples and enough time.
-            second = int(arrived[used:].searchsorted(self._opened + _BUCKET_NS)) + 1
-            left = max(_BUCKET_SAMPLES - self._bucket.count, second)
-            if not self._settled:
-                left = min(left, max(_FIRST_SAMPLES, self._tried) - self._bucket.count)
-            part = slice(used, min(used + left, len(known)))
-            self._bucket.add(known[part], arrived[part], counted[part])
-            used += left
-            if used <= len(known):
-                # The estimate that maps a frame is that of the samples that came before it.
-                stop = int(behind[used - 1])
-                self._map(device[done:stop], times[done:stop])
-                done = stop
-                self._close()
+        done = 0
+        self._sampler.add(pieces, at, device, times)
+        while bucket := self._find_bucket():
+            # The estimate that maps a frame is that of the samples that came before it.
+            stop = self._sampler.index(bucket - 1)
+            self._map(device[done:stop], times[done:stop])
+            done = stop
+            self._learn(self._sampler.take(bucket))
         self._map(device[done:], times[done:])
+
+    def _find_bucket(self) -> int:
+        """Return how many samples make the next bucket, 0 as long as there are too few."""
+        count = self._sampler.count
+        if not count:
+            return 0
+        bucket = count + 1
+        end = self._sampler.arrival(0) + _BUCKET_NS
+        if self._sampler.arrival(count - 1) >= end:
+            bucket = max(_BUCKET_SAMPLES, self._sampler.count_before(end) + 1)
+        if not self._settled:
+            bucket = min(bucket, max(_FIRST_SAMPLES, self._tried))
+        return bucket if bucket <= count else 0
 
     def _map(self, device: Times, times: Times) -> None:
         if self._host is not None:
@@ -340,8 +313,7 @@ class _DeviceClock:
 
     def gap(self) -> None:
         """Doubt what is known: the line stays if the next frames agree with it."""
-        self._bucket.count = 0  # it may be too small to tell anything
-        self._sampler.reset()
+        self._sampler.reset()  # they may be too few to tell anything
         self._middles.clear()
         self._longest_queue = _LONGEST_QUEUE_UNPROVEN_NS
         self._settled = False
@@ -354,14 +326,13 @@ class _DeviceClock:
         self._host = None
         self.estimate = None
 
-    def _close(self) -> None:
-        """Learn from the open bucket, which is full."""
-        samples = self._bucket.take()
+    def _learn(self, samples: Times) -> None:
+        """Learn from a bucket: rows as of `Sampler.take`."""
         device, arrivals, _, delays = samples
         total = len(device)
         self._tried += total
         if self._since is None:
-            self._since = self._opened
+            self._since = int(arrivals[0])
         self._settled = int(arrivals[-1]) - self._since >= _BUCKET_NS
 
         usual, low, high = find_ranked(delays, total // 2)

@@ -34,6 +34,7 @@ class TimedDecoder:
         recorded: bool = False,
     ) -> None:
         self.decoder = decoder
+        self._counters = decoder.counters
         clocked = find_protocol(decoder.protocol).has_clock
         self.clock = FrameClock(
             tick_ns(decoder.ts_unit) if clocked else None,
@@ -59,23 +60,23 @@ class TimedDecoder:
 
     def restart(self, kept: int = 0) -> None:
         """Put the next frames into the same array, behind `kept` frames that are finished."""
-        self._begin = self.decoder.frames - kept  # the array's first frame in the stream
-        self._timed = kept
+        self._begin = int(self._counters.frames) - kept  # the array's first frame in the stream
+        self.timed = kept  # frames in the array that have their times, the first ones
 
     @property
     def count(self) -> int:
         """The frames in the array."""
-        return self.decoder.frames - self._begin
+        return int(self._counters.frames) - self._begin
 
     @property
-    def untimed(self) -> int:
-        """How many of them, the last ones, have no times yet."""
-        return self.count - self._timed
+    def position(self) -> int:
+        """The stream offset behind all bytes taken."""
+        return int(self._counters.bytes_in)
 
     @property
     def border(self) -> int:
         """The stream offset behind the last packet that was decoded."""
-        return self.decoder.position - self.decoder.pending
+        return self.position - self.decoder.pending
 
     def feed(self, data: BytesLike, most: int) -> int:
         """Decode bytes until the array has `most` frames; return how many bytes were used."""
@@ -95,12 +96,12 @@ class TimedDecoder:
 
     def assign_times(self) -> None:
         """Give the frames that have none their times."""
-        room, new = self._room, slice(self._timed, self.count)
+        room, new = self._room, slice(self.timed, self.count)
         at: Times
         if self.clock.by_begin:
             at = room.offsets[new]
         else:
             at = room.ends[new]
             at -= 1  # the last byte of each
-        self._timed = new.stop
+        self.timed = new.stop
         self.clock.assign_times(room.frames[new], at, self.border)
