@@ -285,6 +285,34 @@ def test_a_full_tmpfs(tmp_path: Path, device: "Device") -> None:
         subprocess.run(["umount", str(disk)], check=True)
 
 
+# Runs the command on a host whose clock is set forward by an hour once a file is there.
+SET_CLOCK = """
+import os, sys, time
+from canser.commands.cli import main
+
+plain = time.time_ns
+time.time_ns = lambda: plain() + (3_600_000_000_000 if os.path.exists("set") else 0)
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_a_clock_that_is_set_is_told(tmp_path: Path, device: "Device") -> None:
+    with running(tmp_path, *log("--json", "run.pcapng"), python=SET_CLOCK) as run:
+        opened = run.wait_object("opened")
+        device.write(RAW)
+        run.wait_object("status", bytes=len(RAW))
+        (tmp_path / "set").touch()
+        told = run.wait_object("clock_set")
+        assert run.end(signal.SIGINT) == GOOD
+    assert abs(told["step_ns"] - 3600 * 10**9) < 10**9
+    assert 3590 < told["time"] - opened["time"] < 3720
+    assert run.err == []
+    with Recording(tmp_path / "run.pcapng") as recording:
+        assert b"".join(bytes(piece.data) for piece in recording) == RAW
+        (remark,) = recording.remarks
+    assert "the host's clock was set forward by 3,600.0 s" in remark
+
+
 def test_files_by_turns(tmp_path: Path, device: "Device") -> None:
     many = RAW * 3
     with running(tmp_path, *log("--json", "--size", "100k", "run.pcapng")) as run:

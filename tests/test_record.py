@@ -299,6 +299,82 @@ def test_a_slow_disk_loses_bytes_of_the_recording_only(tmp_path: Path, disk: Dis
         canser.read(tmp_path / "run.pcapng")
 
 
+# Bytes that are lost at the end, and that none follow
+
+
+def overfill(device: Device, *rings: Ring) -> None:
+    """Send more than small rings hold."""
+    device.feed(RAW)
+    device.fed()
+    until(lambda: not device.waiting() and all(ring.lost for ring in rings))
+    until(lambda: all(len(ring) + ring.lost == len(RAW) for ring in rings))
+
+
+def test_bytes_lost_at_the_end_are_told_and_given() -> None:
+    calls: list[tuple[bytes, int, int]] = []
+    options: Any = {"on_bytes": lambda data, ns, lost: calls.append((bytes(data), ns, lost))}
+    with plugged(line=SMALL, **options) as (device, port):
+        overfill(device, port._ring)
+        begin, lost = port._clock(), port.bytes_lost
+        device.unplug()
+        frames: list[FrameArray] = []
+        with pytest.raises(canser.PortGoneError):
+            frames.extend(port.batches())
+        with pytest.raises(canser.PortGoneError):
+            port.read_batch()
+        (gap,) = port.take_gaps()
+    assert (gap.offset, gap.lost, gap.reason) == (SMALL.ring_size, lost, "overflow")
+    assert lost == len(RAW) - SMALL.ring_size
+    assert calls[-1] == (b"", calls[-1][1], lost)
+    assert [call[2] for call in calls[:-1]] == [0] * (len(calls) - 1)
+    assert b"".join(call[0] for call in calls) == RAW[: SMALL.ring_size]
+    assert calls[-2][1] <= calls[-1][1] <= begin
+    assert sum(map(len, frames)) == len(canser.decode(RAW[: SMALL.ring_size], "seeed"))
+
+
+def test_an_interruption_at_the_end_is_given() -> None:
+    """As is a gap of unknown length, with the bytes that were lost before it."""
+    calls: list[tuple[bytes, int]] = []
+    options: Any = {"on_bytes": lambda data, _, lost: calls.append((bytes(data), lost))}
+    with plugged(**options) as (device, port):
+        port._ring.lose(5, 1)
+        port._ring.interrupt(2, "reconnect")
+        device.unplug()
+        with pytest.raises(canser.PortGoneError):
+            port.read_batch()
+        assert [gap.lost for gap in port.take_gaps()] == [5, -1]
+    assert calls == [(b"", -1)]
+
+
+@pytest.mark.parametrize("end", ["recorder", "port", "device"])
+def test_bytes_lost_at_the_end_are_in_the_file(tmp_path: Path, disk: Disk, end: str) -> None:
+    path, events = tmp_path / "run.pcapng", Events()
+    with plugged(line=SMALL) as (device, port):
+        recorder = port.record(path, on_event=events.append)
+        disk.stop()
+        write_to(device, RAW[:1000], recorder._ring)
+        assert disk.waits.wait(PATIENCE)
+        device.write(RAW[1000:])
+        device.write(RAW)
+        until(lambda: not device.waiting())
+        until(lambda: len(recorder._ring) + recorder._ring.lost >= 2 * len(RAW) - 1000)
+        if end == "device":
+            device.unplug()
+        disk.go_on()
+        {"recorder": recorder.close, "port": port.close}.get(end, lambda: None)()
+        until(lambda: recorder.closed)
+        status = recorder.status
+    lost = status.bytes_lost
+    assert lost == 2 * len(RAW) - status.bytes_recorded > 0
+    assert recorded(path) == (RAW * 2)[: status.bytes_recorded]
+    assert lost_in(path) == [lost]
+    gap = events.only("gap")
+    assert (gap.lost, gap.offset, gap.reason) == (lost, status.bytes_in, "overflow")
+    assert (status.gaps, status.gaps_unknown) == (1, 0)
+    with pytest.warns(canser.CanserWarning, match=f"gaps .*: 1, bytes lost: {lost:,}"):
+        canser.read(path)
+
+
 # Triggers
 
 

@@ -5,8 +5,10 @@ import random
 import select
 import threading
 import time
+import tracemalloc
 
 import pytest
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
@@ -219,6 +221,128 @@ def test_a_read_waits_for_no_more_than_half_the_ring() -> None:
     ring = Ring(SIZE)
     put(ring, bytes(SIZE // 2))
     assert ring.wait(10 * SIZE, time.monotonic() + 60)
+
+
+# Reads that become one where there are many
+
+
+class Drained:
+    """All that a ring gives up from offset 0, whenever it is emptied."""
+
+    def __init__(self, ring: Ring) -> None:
+        self.ring = ring
+        self.raw = b""
+        self.reads: list[Read] = []
+        self.gaps: list[Gap] = []
+
+    def empty(self) -> None:
+        while True:
+            begin = len(self.raw)
+            data, more = self.ring.peek()
+            for read in more:  # it lies in what is shown: in one piece of memory, without a gap
+                assert begin <= read.begin < read.end <= begin + len(data)
+            self.raw += bytes(data)
+            self.reads += more
+            self.ring.release_to(len(self.raw))
+            if (gap := self.ring.take_gap()) is not None:
+                self.gaps.append(gap)
+            elif not len(data):
+                return
+
+
+@given(
+    size=st.integers(20, 300),
+    most=st.integers(1, 12),
+    steps=st.lists(
+        st.tuples(
+            st.sampled_from(["put"] * 8 + ["interrupt", "empty"]),
+            st.integers(1, 9),  # bytes
+            st.integers(0, 5_000_000),  # nanoseconds since the step before
+        ),
+        max_size=120,
+    ),
+)
+def test_merged_reads_are_the_same_bytes_between_the_same_gaps(
+    size: int, most: int, steps: list[tuple[str, int, int]]
+) -> None:
+    """All is as without merging, but the times: a byte is dated no earlier, and in its slot."""
+    plain, merging = Drained(Ring(size)), Drained(Ring(size))
+    ns = sent = 0
+    for what, count, wait_ns in steps:
+        ns += wait_ns
+        data = memoryview(bytes((sent + i) % 251 for i in range(count)))
+        sent += count * (what == "put")
+        for each in (plain, merging):
+            with pytest.MonkeyPatch.context() as patch:
+                if each is merging:
+                    patch.setattr("canser.live.ring._READS_MOST", most)
+                if what == "put":
+                    each.ring.append(data, ns)
+                elif what == "interrupt":
+                    each.ring.interrupt(ns, "reconnect")
+                else:
+                    each.empty()
+        assert merging.ring.fill == plain.ring.fill
+        # Reads that a gap or the end of the memory keeps apart are not one.
+        assert len(merging.ring._reads) <= most + len(merging.ring._gaps) + 1
+    plain.empty()
+    merging.empty()
+    assert merging.raw == plain.raw
+    assert merging.gaps == plain.gaps
+    assert merging.ring.lost == plain.ring.lost
+    begins, ends = {read.begin for read in plain.reads}, {read.end: read for read in plain.reads}
+    assert [read.end for read in merging.reads[:-1]] == [read.begin for read in merging.reads[1:]]
+    for read in merging.reads:
+        assert read.begin in begins
+        assert ends[read.end].ns == read.ns
+        assert read.begin // size == (read.end - 1) // size
+
+
+def test_reads_become_one_only_where_there_are_many() -> None:
+    ring = Ring(1000)
+    for ns in range(300):
+        put(ring, b"x", ns)
+    assert ring.peek()[1] == [Read(ns, ns + 1, ns) for ns in range(300)]
+
+
+def fill_by_bytes(ring: Ring, count: int, period_ns: int) -> None:
+    for number in range(count):
+        room = ring.room()
+        assert room is not None
+        room[0] = number & 255
+        ring.put(1, number * period_ns)
+
+
+def test_many_tiny_reads_take_little_more_memory_than_the_ring() -> None:
+    """As a slow reader leaves them where bytes come one by one."""
+    size = 1 << 17
+    tracemalloc.start()
+    try:
+        ring = Ring(size)
+        fill_by_bytes(ring, size, 1_000_000)
+        held, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert held < size + (7 << 20)
+    data, reads = ring.peek()
+    assert bytes(data) == bytes(i & 255 for i in range(size))
+    assert [read.end for read in reads[:-1]] == [read.begin for read in reads[1:]]
+    assert (reads[0].begin, reads[-1].end) == (0, size)
+    # 131 s in slots of 2^23 ns, the first ones that are not more than 2^15: times are within 9 ms.
+    assert 1 << 13 <= len(reads) <= 1 << 15
+    assert all(read.ns == (read.end - 1) * 1_000_000 for read in reads)
+    assert max(read.end - read.begin for read in reads) == 9
+
+
+def test_times_are_exact_again_once_the_ring_was_emptied(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("canser.live.ring._READS_MOST", 10)
+    ring = Ring(1000)
+    fill_by_bytes(ring, 100, 1000)
+    assert len(ring.peek()[1]) <= 10
+    ring.release_to(100)
+    for ns in range(5):
+        put(ring, b"x", ns)
+    assert [read.ns for read in ring.peek()[1]] == list(range(5))
 
 
 @pytest.mark.parametrize("what", ["put", "interrupt", "close"])

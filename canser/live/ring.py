@@ -31,10 +31,14 @@ class Read(NamedTuple):
     ns: int  # epoch nanoseconds at which they had arrived
 
 
-# Reads that no thread has seen yet: of so many each two neighbours become one. The earlier bytes of
-# such a read are dated from the line's rate. A reader that waits a millisecond after each read
-# reaches this number after half a minute, in which its ring is not emptied.
+# Reads that are not handed out take up to 200 bytes each, more than their bytes of the line where
+# they are tiny. Of more than this number those of the same slot of time become one, and slots get
+# twice as long, from the first length on, until half the number is left. So times are exact while
+# fewer reads wait, 16 s of 2,000 reads a second, and then they are late by a slot at most: by 0.3 s
+# after an hour.
 _READS_MOST: Final = 1 << 15
+_SLOT_NS: Final = 1 << 20
+_SLOT_MOST_NS: Final = 1 << 42
 
 # A ring that was full takes bytes again when so much of it is free: one long gap
 # instead of many short ones, each of which costs the frames at its edges.
@@ -63,6 +67,7 @@ class Ring:
         self._begin = 0  # offset of the oldest byte
         self._end = 0  # offset behind the newest
         self._reads: deque[Read] = deque()  # not handed out yet
+        self._slot_ns = 0  # reads of the same slot of time are one; 0: each is one by itself
         self._gaps: deque[Gap] = deque()  # not reached yet by the thread that empties it
         self._full = False
         self._error: Exception | None = None
@@ -93,10 +98,11 @@ class Ring:
     def put(self, count: int, ns: int) -> None:
         """Take notice of bytes that were put there, and had arrived by `ns`."""
         with self._lock:
-            if len(self._reads) >= _READS_MOST and len(self._reads) % _READS_MOST == 0:
-                self._merge_reads()
-            self._reads.append(Read(self._end, self._end + count, ns))
+            gap = self._gaps[-1].offset if self._gaps else -1
+            self._add_read(self._reads, Read(self._end, self._end + count, ns), gap)
             self._end += count
+            if len(self._reads) > _READS_MOST:
+                self._merge_reads()
             self._set_signal()
             if self._end - self._begin >= self._wanted:
                 self._tell()
@@ -111,19 +117,31 @@ class Ring:
         if data:
             self.lose(len(data), ns)
 
+    def _add_read(self, reads: deque[Read], read: Read, gap: int) -> None:
+        """Append a read, or make it one with the last of them; `gap`: where the last gap lies.
+
+        What is one lies in one piece of memory, without a gap inside.
+        """
+        slot_ns = self._slot_ns
+        if (
+            slot_ns
+            and reads
+            and reads[-1].ns // slot_ns == read.ns // slot_ns
+            and read.begin % self._size
+            and read.begin != gap
+        ):
+            read = Read(reads.pop().begin, read.end, read.ns)
+        reads.append(read)
+
     def _merge_reads(self) -> None:
-        """Make one read of each two neighbours that lie in one piece of memory, without a gap."""
-        apart = {gap.offset for gap in self._gaps}
-        merged: deque[Read] = deque()
-        single = False  # whether the last one is not a pair yet
-        for read in self._reads:
-            if single and read.begin % self._size and read.begin not in apart:
-                merged[-1] = Read(merged[-1].begin, read.end, read.ns)
-                single = False
-            else:
-                merged.append(read)
-                single = True
-        self._reads = merged
+        """Have half as many reads, by longer slots of time."""
+        gaps = {gap.offset for gap in self._gaps}
+        while len(self._reads) > _READS_MOST // 2 and self._slot_ns < _SLOT_MOST_NS:
+            self._slot_ns = 2 * self._slot_ns or _SLOT_NS
+            merged: deque[Read] = deque()
+            for read in self._reads:
+                self._add_read(merged, read, read.begin if read.begin in gaps else -1)
+            self._reads = merged
 
     def lose(self, count: int, ns: int) -> None:
         """Count bytes that came while the ring was full."""
@@ -212,6 +230,8 @@ class Ring:
             reads = []
             while self._reads and self._reads[0].end <= self._begin + count:
                 reads.append(self._reads.popleft())
+            if not self._reads:
+                self._slot_ns = 0
             return self._bytes[at : at + count], reads
 
     def release_to(self, offset: int) -> None:
