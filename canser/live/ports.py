@@ -424,8 +424,9 @@ class Port(Uncopied):
             A name that ends in `.pcapng`.
         on_event : callable, optional
             Is called with each `RecorderEvent`, by that thread; while it runs, nothing is
-            recorded. What it raises is a `CanserWarning`, and the recording goes on. Without it
-            warnings are those of Python.
+            recorded. It may close the recorder and the port, but must not wait for a thread
+            that does. What it raises is a `CanserWarning`, and the recording goes on. Without
+            it warnings are those of Python.
         **options
             `size`, `time`, `keep`, `triggers`, `before`, `after` and `force`, as for
             `RecordConfig`.
@@ -650,7 +651,7 @@ class Port(Uncopied):
             self._reader.close()
         # A signal handler or another thread that has closed it may not have waited for these.
         for recorder in list(self._recorders):
-            recorder.end()
+            recorder._end()
 
     # Inside
 

@@ -96,13 +96,13 @@ class Recorder(Uncopied):
         CanserWarning
             Once, where warnings are errors and there was one.
         """
-        self.end()
+        self._end()
         error, self._unraised = self._unraised, None
         if error is not None:
             raise error
 
-    def end(self) -> None:
-        """End the recording as `close` does, without an error.
+    def _end(self) -> None:
+        """End the recording as `close` does, without an error; for the port, too.
 
         The end is not waited for where this thread must not wait: in `on_event`, and in a signal
         handler that came while a lock was held.
@@ -147,5 +147,5 @@ class Recorder(Uncopied):
     def _warn(self, told: str) -> None:
         try:
             warnings.warn(told, CanserWarning, stacklevel=2)
-        except CanserWarning as warning:
-            self._unraised = self._unraised or warning
+        except Exception as error:  # noqa: BLE001 - warnings are errors, or cannot be shown
+            self._unraised = self._unraised or error
