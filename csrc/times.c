@@ -167,13 +167,22 @@ static void add_lowest(canser_sampler *self, const canser_sample *frame)
     const int64_t delay = delay_of(frame);
     size_t at = self->count < CANSER_SAMPLER_MAX ? (size_t)self->count : CANSER_SAMPLER_MAX;
 
-    self->count++;
-    self->last = frame->arrival;
     for (; at && delay < delay_of(&self->lowest[at - 1]); at--)
         if (at < CANSER_SAMPLER_MAX)
             self->lowest[at] = self->lowest[at - 1];
     if (at < CANSER_SAMPLER_MAX)
         self->lowest[at] = *frame;
+}
+
+/* Take the next frames of a piece, one or more. Most are none of the lowest. */
+static void add_frames(canser_sampler *self, const int64_t *device, const int64_t *arrivals,
+                       size_t count)
+{
+    for (size_t i = 0; i < count; i++, self->count++)
+        if (self->count < CANSER_SAMPLER_MAX ||
+            subtract(arrivals[i], device[i]) < delay_of(&self->lowest[CANSER_SAMPLER_MAX - 1]))
+            add_lowest(self, &(canser_sample){device[i], arrivals[i], 0, 0});
+    self->last = arrivals[count - 1];
 }
 
 /* The sample of a piece of which all frames have come. */
@@ -205,7 +214,7 @@ int canser_times_sample(canser_sampler *self, const canser_piece *pieces, size_t
         return CANSER_MISALIGNED;
 
     const canser_piece *const last = pieces + piece_count - 1;
-    for (size_t i = 0; i < count; i++) {
+    for (size_t i = 0, end; i < count; i = end) {
         while (pieces->end <= at[i] && pieces < last)
             pieces++;
         if (self->count && pieces->end != self->piece_end) {
@@ -213,7 +222,9 @@ int canser_times_sample(canser_sampler *self, const canser_piece *pieces, size_t
             samples[(*sample_count)++].index = (int64_t)i;
         }
         self->piece_end = pieces->end;
-        add_lowest(self, &(canser_sample){device[i], arrivals[i], 0, 0});
+        for (end = i + 1; end < count && (at[end] < pieces->end || pieces == last);)
+            end++;
+        add_frames(self, device + i, arrivals + i, end - i);
     }
     return CANSER_OK;
 }
