@@ -1,6 +1,7 @@
 """The host's clock: epoch nanoseconds that do not step, and where the system's clock does."""
 
 import functools
+import sys
 import time
 from collections.abc import Callable
 from typing import Final
@@ -17,7 +18,7 @@ class HostClock:
 
     def __init__(self) -> None:
         self._steady: Callable[[], int] = time.monotonic_ns
-        if hasattr(time, "CLOCK_BOOTTIME"):
+        if sys.platform == "linux":
             # It goes on while the machine sleeps, as Linux' monotonic clock does not.
             self._steady = functools.partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME)
         self._base = time.time_ns() - self._steady()
