@@ -65,7 +65,7 @@ def add(commands: Commands) -> None:
         "  canser simulate -p serial --traffic run.log --link /tmp/can\n"
         "  canser simulate -p seeed --seconds 60 --pace max --copy sent.bin\n"
         "  canser simulate -p cantalope --noise 0.001 --stall 100000:2 --report sent.json\n"
-        "  canser simulate -p seeed --deaf 0.7s --swallow  needs time, as an analyzer does",
+        "  canser simulate -p seeed --deaf 0.7s --swallow    as an analyzer",
         run=run,
     )
     parser.add_argument(
