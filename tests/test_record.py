@@ -69,7 +69,7 @@ def write_to(device: Device, data: bytes, *rings: Ring) -> None:
     for begin in range(0, len(data), 24_000):
         device.write(data[begin : begin + 24_000])
         # For as many bytes they wait at most: so many may stay.
-        until(lambda: max(map(len, rings)) <= 4096 * FRAME_MIN)
+        until(lambda: not device.waiting() and max(map(len, rings)) <= 4096 * FRAME_MIN)
 
 
 def taken(recorder: Recorder, count: int) -> None:
