@@ -35,7 +35,7 @@ class Recorder(Uncopied):
 
     The recording ends with `close`, with the port, when the device is gone, or with an error of
     the disk. At the end of the program it does not end by itself: what is not on the disk is
-    missing then, at most the last second.
+    missing then, the last second and what waits in the ring.
 
     Attributes
     ----------
