@@ -11,7 +11,7 @@ demo: $(VENV)/.built ## make captures of a simulated adapter, decode them, print
 	$(BIN)/python examples/demo.py
 
 test: $(VENV)/.test ## run the tests; many wait for others, so three at a time, on two cores too
-	$(BIN)/python -m pytest -n 3 --dist worksteal
+	$(BIN)/python -m pytest -n 4 --dist worksteal
 
 lint: $(VENV)/.lint ## run the linters
 	$(BIN)/ruff check .

@@ -22,6 +22,7 @@ from canser.live import ports
 from canser.recording.header import RecordingInfo
 from canser.recording.writer import RecordingWriter
 from canser.timing.loop import TimedDecoder
+from long import LONG
 from readers import collect, plugged
 
 US, MS, S = 1_000, 1_000_000, 1_000_000_000
@@ -230,7 +231,7 @@ def test_the_first_times_are_false(unit: str, count: int) -> None:
 
 @pytest.mark.parametrize("unit", ["s", "ms", "us"])
 def test_noise_for_long(unit: str) -> None:
-    truth = steady(7200, 20)
+    truth = steady(7200 if LONG else 1800, 20)
     ticks = counters(truth, unit, EPOCH - 65 * MINUTE)
     rng = np.random.default_rng(5)
     false = rng.random(len(truth)) < 1 / 25
