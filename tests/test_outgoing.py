@@ -45,10 +45,12 @@ def run(out: Outgoing, until: int) -> Iterator[tuple[int, bytes]]:
     """Send as the simulator does, by a clock that is never late; yield what goes out when."""
     now = 0
     while out.ready() and now <= until:
+        data = sent(out, now)
         while out.starved:  # a thread takes the parts of an iterable
             time.sleep(0.001)
             out.ready()
-        yield now, sent(out, now)
+            data += sent(out, now)
+        yield now, data
         now += out.wait_ns(now)
 
 

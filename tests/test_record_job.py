@@ -348,7 +348,9 @@ def test_a_signal_interrupts_it_at_any_time(device: Device, tmp_path: Path) -> N
             sent = Background(lambda number=number: device.write(RAW[: 3000 * number]))  # type: ignore[misc]
 
             def interrupt(path: Path = path, wait: float = number * 0.003) -> None:
-                until(path.exists)
+                # Not before there is a header: Python may be interrupted between the opening of a
+                # file and the assignment that lets it be closed.
+                until(lambda: path.exists() and path.stat().st_size > 0)
                 threading.Event().wait(wait)
                 signal.pthread_kill(main, signal.SIGINT)
 
