@@ -43,8 +43,8 @@ L_BOUNDS_NS = 4.0  # memory is the limit where L takes longer than this for a fr
 PYTHON_CAN = {"serial": 750.0, "seeed": 1300.0}
 NUMPY, NUMBA = 10.0, 2.0
 HOSTILE = 8.0  # clean frames
-# Ten times 0.011, which Python alone reached on blocks of 93 bytes.
-RECORDED_SMALL = 0.11
+# Ten times what was reached on this machine when Python walked the blocks.
+RECORDED_SMALL = {"serial": 0.023, "seeed": 0.043, "cantalope": 0.041}
 RECORDED_FULL = {"serial": 0.13, "seeed": 0.27, "cantalope": 0.27}
 NEW_ARRAY = {1 << 20: 0.65, 1 << 16: 0.45}  # by the bytes of the input
 
@@ -308,7 +308,7 @@ def recorded(protocol: str, size: int, folder: Path, rounds: int) -> Iterator[Ro
         recording_files.record(path, protocol, raw, piece)
         assert count(path) == count(bare) == len(frames), "frames of the recording are lost"
         _, seconds, ratio = paired(lambda: count(bare), lambda: count(path), rounds)  # noqa: B023
-        required = RECORDED_SMALL if name == "small" else RECORDED_FULL[protocol]
+        required = (RECORDED_SMALL if name == "small" else RECORDED_FULL)[protocol]
         note = f"{seconds / len(frames) * 1e9:.1f} ns a frame, "
         note += f"{len(raw) / seconds / 1e9:.2f} GB/s of the line"
         yield Row(f"a recording in {name} blocks, over raw", protocol, ratio, required, note)
