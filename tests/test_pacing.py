@@ -31,7 +31,7 @@ BITRATE = 500_000
 
 
 class Clock:
-    """A clock that runs while somebody sleeps, and else stands still."""
+    """A clock that runs in `sleep` only."""
 
     def __init__(self) -> None:
         self.now = 1000.0
