@@ -537,7 +537,7 @@ def test_a_line_that_takes_no_more_is_a_timeout(fed: tuple[Device, CanserBus]) -
     [
         ({"channel": "/dev/no-such-port"}, can.CanInitializationError, "no-such-port"),
         ({"channel": __file__}, can.CanInitializationError, "no serial port"),
-        ({"channel": "socket://127.0.0.1:1"}, can.CanInitializationError, "nobody answers"),
+        ({"channel": "socket://127.0.0.1:1"}, can.CanInitializationError, "no server answers"),
         ({"channel": "nonsense://x"}, ValueError, "nonsense"),
         ({"channel": ""}, ValueError, "channel is empty"),
         ({"channel": 3}, TypeError, "channel is 3"),

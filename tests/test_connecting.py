@@ -137,7 +137,7 @@ def test_a_silent_server_is_an_error_after_the_time_limit(
     assert tcp._CONNECT_TIMEOUT_S == 5
     monkeypatch.setattr(tcp, "_CONNECT_TIMEOUT_S", 0.1)
     url = f"socket://127.0.0.1:{silent}"
-    why = f"^nobody answers at {url}: timed out; is the server running\\?$"
+    why = f"^no server answers at {url}: timed out; is the server running\\?$"
     with pytest.raises(canser.PortNotFoundError, match=why):
         canser.open(url, "seeed")
 

@@ -366,7 +366,7 @@ def test_a_line_config_holds_plain_values_and_stays() -> None:
         ("/dev/no-such-port", PortNotFoundError, "there is no port /dev/no-such-port"),
         ("/etc/hostname", PortError, "no serial port; files are read by canser.read"),
         ("/", PortError, "/ is no serial port"),
-        ("socket://127.0.0.1:1", PortNotFoundError, "nobody answers at socket://127.0.0.1:1"),
+        ("socket://127.0.0.1:1", PortNotFoundError, "no server answers at socket://127.0.0.1:1"),
         ("socket://127.0.0.1", ValueError, "host or port is missing; write socket://host:port"),
         ("socket://:5000", ValueError, "host or port is missing"),
         ("socket://host:port", ValueError, "write socket://host:port"),

@@ -45,7 +45,7 @@ def connect(url: str, host: str, number: int) -> socket.socket:
         return socket.create_connection((host, number), timeout=_CONNECT_TIMEOUT_S)
     except OSError as error:
         raise PortNotFoundError(
-            f"nobody answers at {url}: {error.strerror or error}; is the server running?"
+            f"no server answers at {url}: {error.strerror or error}; is the server running?"
         ) from None
 
 
