@@ -140,12 +140,18 @@ def _follow(
     stop: Callable[[], bool] | None,
     on_status: Callable[[RecorderStatus], None] | None,
 ) -> None:
+    def asked() -> bool:
+        return stop is not None and stop()
+
+    # Also before there is a file: a program that sees the file can rely on `stop`.
+    stopped = asked()
     job.start()
     end = None if duration is None else time.monotonic() + duration
-    while stop is None or not stop():
+    while not stopped:
         left = ROUND_S if end is None else end - time.monotonic()
         if left <= 0:
             break
         job.step(min(left, ROUND_S))
         if on_status is not None:
             on_status(job.status)
+        stopped = asked()
