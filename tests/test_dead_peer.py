@@ -208,6 +208,6 @@ def test_a_network_that_is_down_means_that_the_line_is_gone(
                     line.read_into(memoryview(bytearray(10)), PATIENCE)
                 patched.setattr(os, "write", fail)
                 with pytest.raises(PortGoneError, match=why):
-                    line.write(memoryview(b"1"), PATIENCE)
+                    line.write(memoryview(b"1"), PATIENCE, [])
         finally:
             line.close()

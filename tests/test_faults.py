@@ -21,6 +21,7 @@ import pytest
 
 import canser
 from canser._frames import FRAME_DTYPE, FrameArray
+from canser.live.reader import Sending
 from canser.simulation.traffic import line_noise, vehicle
 from device import PATIENCE, Device, descriptors, until
 from readers import (
@@ -289,7 +290,7 @@ def test_a_packet_does_not_go_on_on_another_line(tmp_path: Path) -> None:
     with replugged(tmp_path) as (_, port, replug):
         with pytest.raises(canser.SendError):
             port.send(frames, timeout=0.05)  # in the middle of a frame, as a rule
-        port._reader._rest = memoryview(b"the rest")  # and here for sure
+        port._reader._sending = Sending(b"the rest")  # and here for sure
         new = replug()
         until(lambda: port.take_gaps() or not len(port.read_batch(timeout=0)))
         mark = array(Frame(0x7E5, dlc=1, data=b"\x55".ljust(8, b"\0")))

@@ -40,7 +40,7 @@ def read(line: Line, count: int) -> bytes:
 def write(line: Line, data: bytes) -> None:
     view = memoryview(data)
     while view:
-        count = line.write(view, PATIENCE)
+        count = line.write(view, PATIENCE, [])
         assert count
         view = view[count:]
 
@@ -189,7 +189,7 @@ def test_a_read_ends_when_it_is_woken(kind: str) -> None:
 
 def test_a_write_ends_after_its_timeout() -> None:
     with Device() as device, opened(device.url) as line:
-        while line.write(memoryview(bytes(4096)), 0.02):
+        while line.write(memoryview(bytes(4096)), 0.02, []):
             pass
         assert device.read(100) == bytes(100)
 
@@ -237,7 +237,7 @@ def test_descriptors_above_1024_will_do(kind: str) -> None:
         write(line, EVERY_BYTE)
         if kind == "pty":
             assert device.read(len(EVERY_BYTE)) == EVERY_BYTE
-            while line.write(memoryview(bytes(4096)), 0.02):  # until it has to wait
+            while line.write(memoryview(bytes(4096)), 0.02, []):  # until it has to wait
                 pass
 
 
@@ -458,7 +458,7 @@ def test_an_error_of_the_system_names_the_url(monkeypatch: pytest.MonkeyPatch) -
         room = memoryview(bytearray(10))
         calls: list[tuple[Any, str, Callable[[], int]]] = [
             (os, "readv", lambda: line.read_into(room, PATIENCE)),
-            (os, "write", lambda: line.write(memoryview(b"1"), PATIENCE)),
+            (os, "write", lambda: line.write(memoryview(b"1"), PATIENCE, [])),
             (fcntl, "ioctl", line.unwritten),
         ]
         for module, name, call in calls:

@@ -826,6 +826,40 @@ def test_a_send_that_is_interrupted_leaves_whole_packets() -> None:
         signal.signal(signal.SIGUSR1, before)
 
 
+def test_sends_that_are_interrupted_at_any_moment_cut_no_packet() -> None:
+    frames = traffic(20)
+    rng = np.random.default_rng(1)
+
+    def stop(*_: object) -> None:
+        raise StopError
+
+    before = signal.signal(signal.SIGALRM, stop)
+    try:
+        with plugged() as (device, port):
+            decoder = canser.Decoder("seeed")
+
+            def read() -> None:
+                while not (decoder.feed(device.read_some())["id"] == 0x7E5).any():
+                    pass
+
+            def send() -> None:
+                while True:
+                    port.send(frames)
+
+            reader = Background(read)
+            for wait_s in rng.uniform(0.001, 0.01, 150).tolist():
+                signal.setitimer(signal.ITIMER_REAL, wait_s)
+                with pytest.raises(StopError):
+                    send()
+            port.send(array(Frame(0x7E5, dlc=1, data=b"\x55".ljust(8, b"\0"))))
+            reader.join()
+            assert decoder.stats.bytes_skipped == 0
+            assert decoder.stats.frames > 150
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
 # Closing
 
 

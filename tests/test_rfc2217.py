@@ -64,7 +64,7 @@ def fill(server: SlowServer, line: Any) -> bytes:
     written = bytearray()
     while True:
         data = memoryview(DATA[len(written) % len(DATA) :])
-        count = line.write(data, 0.2)
+        count = line.write(data, 0.2, [])
         if not count:
             return bytes(written)
         written += data[:count]
@@ -75,10 +75,10 @@ def test_a_server_that_takes_nothing_for_a_while_is_not_gone() -> None:
         written = fill(server, line)
         begin = time.monotonic()
         for timeout in [0.01, 0] * 10:  # the system may find a little more room
-            written += DATA[: line.write(memoryview(DATA), timeout)]
+            written += DATA[: line.write(memoryview(DATA), timeout, [])]
         assert time.monotonic() - begin < 2.5, "pyserial's own time-out is 5 s"
         server.free.set()
-        assert line.write(memoryview(b"on"), PATIENCE) == 2
+        assert line.write(memoryview(b"on"), PATIENCE, []) == 2
         until(lambda: len(server.heard) == len(written) + 2)
         assert bytes(server.heard) == written + b"on"
 
@@ -139,7 +139,7 @@ def test_a_doubled_byte_that_is_cut_in_two_stays_one(size: int) -> None:
         port._socket = Narrow(port._socket)
         data = memoryview(DATA)
         while data:
-            data = data[line.write(data, PATIENCE) :]
+            data = data[line.write(data, PATIENCE, []) :]
             port.telnet_send_option(b"\xfc", b"\x7f")  # in the middle of everything
         until(lambda: line.unwritten() == 0)
         until(lambda: len(server.heard) == len(DATA))

@@ -15,6 +15,7 @@ import canser
 import canser.live.setup
 from canser import adapters
 from canser.adapters import AdapterConfig
+from canser.live.reader import Sending
 from canser.live.setup import Setup
 from canser.simulation.faults import Faults
 from canser.simulation.simulator import Simulator
@@ -368,7 +369,7 @@ def test_only_a_send_waits_and_within_its_time() -> None:
 def test_a_request_goes_out_behind_the_rest_of_a_packet() -> None:
     """Otherwise a packet that was cut would keep all requests back."""
     with plugged(bitrate=500_000) as (device, port):
-        port._reader._rest = memoryview(b"the rest")
+        port._reader._sending = Sending(b"the rest")
         assert read_configured(device, b"the rest" + ASK) == CONFIG
 
 

@@ -46,8 +46,11 @@ class Line(Protocol):
         line is dead.
         """
 
-    def write(self, data: memoryview, timeout: float | None) -> int:
-        """Write what fits, return how many bytes; 0 after `timeout` seconds."""
+    def write(self, data: memoryview, timeout: float | None, counts: list[int]) -> int:
+        """Write what fits, return how many bytes; 0 after `timeout` seconds.
+
+        Appends the number to `counts`, if it is not 0.
+        """
 
     def unwritten(self) -> int:
         """Return how many written bytes the system still holds."""
@@ -380,11 +383,13 @@ class _Descriptor:
             raise self._gone(None)
         return count
 
-    def write(self, data: memoryview, timeout: float | None) -> int:
+    def write(self, data: memoryview, timeout: float | None, counts: list[int]) -> int:
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
             try:
-                return os.write(self._fd, data)
+                # No signal handler, which may raise, comes between the write and the number.
+                counts.extend(map(os.write, (self._fd,), (data,)))
+                return counts[-1]
             except BlockingIOError:
                 pass
             except OSError as error:
@@ -456,14 +461,20 @@ class _Serial:
         data: bytes = self._port.read(max(1, min(self._port.in_waiting, most)))
         return data
 
-    def write(self, data: memoryview, timeout: float | None) -> int:  # noqa: ARG002 - see below
+    def write(
+        self,
+        data: memoryview,
+        timeout: float | None,  # noqa: ARG002 - see below
+        counts: list[int],
+    ) -> int:
         # Not every kind of port has a time-out for writing; pieces keep a call short.
         piece = bytes(data[:4096])
         try:
             written = self._port.write(piece)
         except (OSError, TypeError) as error:
             raise _gone(self._url) from error
-        return len(piece) if written is None else int(written)
+        counts.append(len(piece) if written is None else int(written))
+        return counts[-1]
 
     def unwritten(self) -> int:
         try:
@@ -488,11 +499,12 @@ class _Rfc2217(_Serial):
         data: bytes = self._port.receive(most, timeout)
         return data
 
-    def write(self, data: memoryview, timeout: float | None) -> int:
+    def write(self, data: memoryview, timeout: float | None, counts: list[int]) -> int:
         try:
-            return int(self._port.transmit(data, timeout))
+            counts.append(int(self._port.transmit(data, timeout)))
         except OSError as error:
             raise _gone(self._url) from error
+        return counts[-1]
 
 
 def _gone(url: str) -> PortGoneError:

@@ -523,7 +523,7 @@ class Port(Uncopied):
         self._check_open()
         timeout = check_timeout(timeout)
         raw = as_bytes(data).tobytes()
-        written, why = self._reader.write(raw, timeout, lambda _: 0)
+        written, why = self._reader.write(raw, timeout, _missing_nothing)
         if why:
             kind = SendTimeoutError if why == NO_MORE else SendError
             raise kind(f"{self.url}: {why}; {written} of {len(raw)} bytes were sent", 0, why)
@@ -537,7 +537,7 @@ class Port(Uncopied):
         timeout = check_timeout(timeout)
         deadline = _deadline(timeout)
         # What is left of a frame that a time-out of `send` has cut.
-        _, why = self._reader.write(b"", timeout, lambda _: 0)
+        _, why = self._reader.write(b"", timeout, _missing_nothing)
         while True:
             self._check_open()
             held = self._reader.unwritten()
@@ -704,14 +704,8 @@ class Port(Uncopied):
     ) -> tuple[int, str]:
         """Write encoded frames; return how many bytes went out or will, and why not all did."""
         written, sent, why = 0, 0, ""
-
-        def missing(count: int) -> int:
-            at = written + count
-            ends = self._ends(raw)
-            return int(ends[np.searchsorted(ends, at)]) - at
-
         if not pace or self.bitrate is None or not len(frames):
-            return self._reader.write(raw, _left(deadline), missing)
+            return self._reader.write(raw, _left(deadline), self._missing)
         ends = None  # where all frames may go out at once, as is mostly so, they are not needed
         while sent < len(frames) and not why:
             bits = longest_bits(frames[sent : sent + AHEAD_FRAMES])
@@ -722,9 +716,14 @@ class Port(Uncopied):
             if sent < len(frames) and ends is None:
                 ends = self._ends(raw)
             part = raw[written:] if ends is None else raw[written : ends[sent - 1]]
-            more, why = self._reader.write(part, _left(deadline), missing)
+            more, why = self._reader.write(part, _left(deadline), self._missing)
             written += more
         return written, why
+
+    def _missing(self, part: bytes, sent: int) -> int:
+        """Return how many bytes are missing of the packet in `part` that is cut there."""
+        ends = self._ends(part)
+        return int(ends[np.searchsorted(ends, sent)]) - sent
 
     def _ends(self, raw: bytes) -> npt.NDArray[np.int64]:
         """Return where each of the packets ends that `encode` gave."""
@@ -745,7 +744,7 @@ class _Connect:
         rest = memoryview(packet)
         try:
             while rest:
-                count = line.write(rest, 1.0)
+                count = line.write(rest, 1.0, [])
                 if not count:
                     raise PortError(
                         f"{self._url} does not take the adapter's configuration; is it plugged in?"
@@ -764,6 +763,10 @@ def _deadline(timeout: float | None) -> float | None:
     """Return when a time-out is over, by time.monotonic(); None for never."""
     seconds = check_timeout(timeout)
     return None if seconds is None else time.monotonic() + seconds
+
+
+def _missing_nothing(data: bytes, sent: int) -> int:  # noqa: ARG001 - of bytes that are no packets
+    return 0
 
 
 def _left(deadline: float | None) -> float | None:

@@ -40,6 +40,39 @@ GONE: Final = "the device is gone"
 _HOLD_S: Final = 0.05
 
 
+class Sending:
+    """Bytes on their way out, and how many have left: known whatever interrupts a thread.
+
+    `missing(data, n)`: as of `LineReader.write`; None: all of `data` has to go out.
+    """
+
+    def __init__(
+        self, data: bytes = b"", missing: Callable[[bytes, int], int] | None = None
+    ) -> None:
+        self._data, self._missing = data, missing
+        self.counts: list[int] = []  # of bytes that have left, in turn
+
+    @property
+    def sent(self) -> int:
+        """How many bytes have left."""
+        return sum(self.counts)
+
+    @property
+    def left(self) -> memoryview:
+        """The others."""
+        return memoryview(self._data)[self.sent :]
+
+    @property
+    def rest(self) -> bytes:
+        """Of the others those that must go out before anything else does: of a cut packet."""
+        sent = self.sent
+        if self._missing is None:
+            return self._data[sent:]
+        if not 0 < sent < len(self._data):
+            return b""
+        return self._data[sent : sent + self._missing(self._data, sent)]
+
+
 class LineReader:
     """An open line, and a thread that drains it into a ring as fast as bytes come.
 
@@ -73,11 +106,13 @@ class LineReader:
         self._line: Line | None = connect_aside(url, connect, self._closing)  # None: it is away
         # Held to write, and to change the line. Reentrant, as a signal handler may close
         # the port in the middle of a write.
-        self._line_lock = threading.Condition()
+        self._line_lock = threading.RLock()
+        self._line_held = threading.Condition(self._line_lock)  # to ask who holds it
         self._writing = threading.Lock()
-        self._rest = memoryview(b"")  # of a packet whose start went out
+        self._sending = Sending()  # the last bytes that were to go out
         # Held to change the rings besides, and to end them.
-        self._rings_lock = threading.Condition()  # reentrant, as the other one
+        self._rings_lock = threading.RLock()
+        self._rings_held = threading.Condition(self._rings_lock)
         self._more_rings: tuple[Ring, ...] = ()
         self._ended: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="canser reader", daemon=True)
@@ -88,34 +123,43 @@ class LineReader:
             raise
 
     def write(
-        self, data: bytes, timeout: float | None, missing: Callable[[int], int]
+        self, data: bytes, timeout: float | None, missing: Callable[[bytes, int], int]
     ) -> tuple[int, str]:
         """Write bytes behind what is left of an earlier packet.
 
-        `missing(n)`: how many bytes are missing of the packet that is cut behind the first n bytes
-        of `data`. They go out before anything else, unless the line is gone.
+        `missing(data, n)`: how many bytes are missing of the packet that is cut behind the first n
+        bytes of `data`. They go out before anything else, unless the line is gone.
 
         Returns how many bytes of `data` went out or will, and why not all did ("" if all did).
         """
         deadline = None if timeout is None else time.monotonic() + timeout
-        view, written, why = memoryview(data), 0, ""
-        if not self._writing.acquire(timeout=-1 if timeout is None else max(timeout, 0)):
-            return 0, NO_MORE
+        held: list[bool] = []
         try:
-            while self._rest and not why:
-                count, why = self._write_some(self._rest, deadline)
-                self._rest = self._rest[count:]
-            try:
-                while written < len(view) and not why:
-                    count, why = self._write_some(view[written:], deadline)
-                    written += count
-            finally:  # whatever ends it, an interrupt too
-                if 0 < written < len(view) and why in ("", NO_MORE):
-                    self._rest = view[written : written + missing(written)]
-                    written += len(self._rest)
+            # No signal handler, which may raise, comes between the lock and the note of it.
+            left = -1 if timeout is None else max(timeout, 0)
+            held.extend(map(self._writing.acquire, (True,), (left,)))
+            if not held[0]:
+                return 0, NO_MORE
+            if rest := self._sending.rest:
+                why = self._send(Sending(rest), deadline)
+                if why:
+                    return 0, why
+            sending = Sending(data, missing)
+            why = self._send(sending, deadline)
+            if why not in ("", NO_MORE):
+                self._sending = Sending()
+                return sending.sent, why
+            return sending.sent + len(sending.rest), why
         finally:
-            self._writing.release()
-        return written, why
+            if held and held[0]:
+                self._writing.release()
+
+    def _send(self, sending: "Sending", deadline: float | None) -> str:
+        """Write until all is out; return why it is not."""
+        self._sending, why = sending, ""
+        while sending.left and not why:
+            why = self._write_some(sending, deadline)
+        return why
 
     def add_ring(self, ring: Ring) -> None:
         """Put all bytes from now on into this ring, too."""
@@ -153,7 +197,7 @@ class LineReader:
         with self._line_lock:
             if self._line is None:
                 raise PortGoneError(f"{self._url}: {self._why_no_line()}")
-            return len(self._rest) + self._line.unwritten()
+            return len(self._sending.rest) + self._line.unwritten()
 
     def close(self) -> None:
         """End the thread, close the line, and release the ring.
@@ -172,7 +216,7 @@ class LineReader:
     @property
     def locked_here(self) -> bool:
         """Whether this thread is in the middle of something here, which a signal interrupted."""
-        return holds(self._line_lock) or holds(self._rings_lock) or self._ring.locked_here
+        return holds(self._line_held) or holds(self._rings_held) or self._ring.locked_here
 
     def _finish(self) -> None:
         with self._line_lock:
@@ -181,22 +225,20 @@ class LineReader:
             line.close()
         self._ring.release()
 
-    def _write_some(self, data: memoryview, deadline: float | None) -> tuple[int, str]:
+    def _write_some(self, sending: "Sending", deadline: float | None) -> str:
         left = _HOLD_S if deadline is None else min(deadline - time.monotonic(), _HOLD_S)
         if self._closing.is_set():  # asked before the lock, for which `close` waits
-            return 0, self._why_no_line()
+            return self._why_no_line()
         with self._line_lock:
             if self._line is None:
-                return 0, self._why_no_line()
+                return self._why_no_line()
             try:
-                count = self._line.write(data, max(left, 0))
+                count = self._line.write(sending.left, max(left, 0), sending.counts)
             except PortGoneError:
-                return 0, GONE
+                return GONE
             except (CanserError, OSError) as error:
-                return 0, str(error).removeprefix(f"{self._url}: ")
-        if not count and left < _HOLD_S:
-            return 0, NO_MORE
-        return count, ""
+                return str(error).removeprefix(f"{self._url}: ")
+        return NO_MORE if not count and left < _HOLD_S else ""
 
     def _why_no_line(self) -> str:
         return "the port is closed" if self._closing.is_set() else GONE
@@ -277,11 +319,15 @@ class LineReader:
             return False
         try:
             # Never into the middle of another packet: its rest goes first.
-            if self._rest:
-                self._rest = self._rest[line.write(self._rest, 0) :]
-            if self._rest or not (sent := line.write(memoryview(packet), 0)):
+            if rest := self._sending.rest:
+                self._sending = Sending(rest)
+                line.write(self._sending.left, 0, self._sending.counts)
+            if self._sending.rest:
                 return False
-            self._rest = memoryview(packet)[sent:]
+            sending = Sending(packet)
+            if not line.write(sending.left, 0, sending.counts):
+                return False
+            self._sending = sending
             return True
         finally:
             self._writing.release()
@@ -293,7 +339,7 @@ class LineReader:
             # Whoever writes has to leave first: no packet may go on on another line.
             if not self._writing.acquire(blocking=False):
                 continue
-            self._rest = memoryview(b"")
+            self._sending = Sending()
             self._writing.release()
             try:
                 line = connect_aside(self._url, self._connect, self._closing)
