@@ -76,7 +76,7 @@ static int check_batch(canser_batch *batch, const uint8_t *data, size_t data_len
         return CANSER_NULL;
     batch->frame_count = 0;
     batch->control_count = 0;
-    if ((!batch->frames && batch->frame_cap) || (batch->ends && !batch->offsets))
+    if (!batch->frames && batch->frame_cap)
         return CANSER_NULL;
     if (misaligned(batch->frames, _Alignof(canser_frame)) ||
         misaligned(batch->offsets, _Alignof(int64_t)) ||

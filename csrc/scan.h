@@ -230,9 +230,10 @@ CANSER_NOINLINE plain_stop take_plain_offsets(const uint8_t *p, canser_frame *fr
     return plain_loop(p, frame, until, clock, offsets, NULL, shift);
 }
 
-CANSER_NOINLINE plain_stop take_plain_spans(const uint8_t *p, canser_frame *frame,
-                                            canser_frame *until, canser_clock *clock,
-                                            int64_t *offsets, int64_t *ends, uint64_t shift)
+/* With ends; `offsets` may be NULL. */
+CANSER_NOINLINE plain_stop take_plain_ends(const uint8_t *p, canser_frame *frame,
+                                           canser_frame *until, canser_clock *clock,
+                                           int64_t *offsets, int64_t *ends, uint64_t shift)
 {
     return plain_loop(p, frame, until, clock, offsets, ends, shift);
 }
@@ -331,7 +332,7 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
     canser_frame *frame = batch->frames + batch->frame_count;
     canser_frame *const frames_end = batch->frames + batch->frame_cap;
     int64_t *const offsets = batch->offsets ? batch->offsets + batch->frame_count : NULL;
-    int64_t *const ends = offsets && batch->ends ? batch->ends + batch->frame_count : NULL;
+    int64_t *const ends = batch->ends ? batch->ends + batch->frame_count : NULL;
     canser_stats *const stats = &self->stats;
     canser_clock clock = self->clock;
     const uint64_t apart = stats->bytes_control + stats->bytes_skipped;
@@ -351,8 +352,8 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
                 const ptrdiff_t done = frame - begin;
                 const uint64_t shift = base - (uintptr_t)data;
                 const plain_stop at =
-                    ends ? take_plain_spans(p, frame, until, &clock, offsets + done, ends + done,
-                                            shift)
+                    ends ? take_plain_ends(p, frame, until, &clock, offsets ? offsets + done : NULL,
+                                           ends + done, shift)
                     : offsets ? take_plain_offsets(p, frame, until, &clock, offsets + done, shift)
                               : take_plain(p, frame, until, &clock);
 

@@ -140,7 +140,7 @@ static size_t call_and_append(drive *self, const uint8_t *bytes, size_t len, boo
         .frames = self->frames + self->frame_count,
         .frame_cap = frame_cap < frame_room ? frame_cap : frame_room,
         .offsets = self->no_offsets ? NULL : self->offsets + self->frame_count,
-        .ends = self->no_offsets || self->no_ends ? NULL : self->ends + self->frame_count,
+        .ends = self->no_ends ? NULL : self->ends + self->frame_count,
         .controls = self->no_controls ? NULL : self->controls + self->control_count,
         .control_cap = control_cap < control_room ? control_cap : control_room,
     };
@@ -200,8 +200,7 @@ const char *drive_compare(const drive *self, const plain_stream *expected)
     if (!self->no_offsets &&
         memcmp(self->offsets, expected->offsets, frame_count * sizeof *self->offsets) != 0)
         return "an offset differs";
-    if (!self->no_offsets && !self->no_ends &&
-        memcmp(self->ends, expected->ends, frame_count * sizeof *self->ends) != 0)
+    if (!self->no_ends && memcmp(self->ends, expected->ends, frame_count * sizeof *self->ends) != 0)
         return "an end differs";
     if (!self->no_controls) {
         if (self->control_count != control_count)
