@@ -10,7 +10,7 @@ BUILT  := setup.py pyproject.toml $(wildcard csrc/*)
 demo: $(VENV)/.built ## make captures of a simulated adapter, decode them, print a table
 	$(BIN)/python examples/demo.py
 
-test: $(VENV)/.test ## run the tests; many wait for others, so three at a time, on two cores too
+test: $(VENV)/.test ## run the tests; many wait for others, so four at a time, on two cores too
 	$(BIN)/python -m pytest -n 4 --dist worksteal
 
 lint: $(VENV)/.lint ## run the linters

@@ -40,11 +40,11 @@ extern "C" {
 /* The frames in which a chunk's clock must settle to be joined. */
 #define CANSER_SETTLE_MAX 64
 
-/* How many of the lowest values canser_times_lowest() tells apart. */
-#define CANSER_LOWEST_MAX 4
+/* The longest that a byte may take on a line: 5 bits a second. */
+#define CANSER_BYTE_NS_MAX 2000000000
 
 /* Of so many frames of a piece all but one may be false, and its sample is a true one. */
-#define CANSER_SAMPLER_MAX 3
+#define CANSER_LEAST_LATE 3
 
 /* Status codes: the caller's mistakes, found before a byte is touched. */
 enum {
@@ -198,34 +198,27 @@ typedef struct {
     int64_t ns;  /* when they had come */
 } canser_piece;
 
-/* Where a device's counter stood at a time of the host. */
-typedef struct {
-    uint64_t ticks; /* unwrapped */
-    int64_t host;   /* nanoseconds */
-} canser_reading;
-
 /* The least late frame of a piece: its time by the device's clock, and when it had come. */
 typedef struct {
     int64_t device;
     int64_t arrival;
     int64_t counted; /* by how much it was counted back from the last frame of the piece */
-    int64_t index;   /* that of the first frame behind the piece, in the call that gave this one */
 } canser_sample;
 
-/* What is known of the piece that the last frame was in. Fields are the library's own. */
+/* The frames of a piece with the lowest arrival less device time, the lowest first; of equal ones
+ * the first ones. Private. */
 typedef struct {
-    int64_t piece_end;
-    int64_t last;                             /* the arrival of the last frame */
-    uint64_t count;                           /* frames in it so far */
-    canser_sample lowest[CANSER_SAMPLER_MAX]; /* by arrival less device time, first ones first */
-} canser_sampler;
+    size_t count;
+    canser_sample frames[CANSER_LEAST_LATE];
+} canser_least_late;
 
-/* Which turn of its counter a device's clock is in. Fields are the library's own. */
+/* Which turn of its counter a device's clock is in. Private. */
 typedef struct {
-    canser_reading known; /* the last one that was near those before it */
-    canser_reading last;  /* the last one that was not */
-    uint8_t run;          /* how many of these in a row were near each other */
-    uint8_t started;      /* 1: `known` is set */
+    int64_t shift;      /* nanoseconds to add to a decoder's time */
+    int64_t delay;      /* arrival less device time of the last frame that was near those before */
+    int64_t last_delay; /* of the last one that was not */
+    uint8_t run;        /* how many of these in a row were near each other */
+    uint8_t started;    /* 1: `delay` and `shift` are set */
 } canser_turns;
 
 /* What a device's clock stands at: host's time = host + run + run * drift, where run =
@@ -241,15 +234,41 @@ typedef struct {
     int64_t reached; /* a device time that the clock had come to */
     int64_t early;   /* 0 or more: how far a device time may lie before that one, and a host
                       * time behind its arrival */
-    int64_t late;    /* how far a host time may lie before its arrival */
+    int64_t late;    /* 0 or more: how far a host time may lie before its arrival */
 } canser_trust;
 
-/* A value by its rank among others. */
+/* Why canser_timing_assign() has returned. */
+enum {
+    CANSER_TIMING_DONE = 0,    /* all frames have their times */
+    CANSER_TIMING_BUCKET = 1,  /* the samples are enough to learn from */
+    CANSER_TIMING_FULL = 2,    /* there is no room for another sample */
+    CANSER_TIMING_SILENCE = 3, /* the next frame comes after a silence */
+};
+
+/* How the frames of one stream get their times. Zero it, and set the first fields; those
+ * marked so may be set between any two calls. */
 typedef struct {
-    int64_t value;
-    int64_t low; /* the lowest of all */
-    int64_t high;
-} canser_ranked;
+    int64_t tick_ns;      /* the unit of the device's times, at most INT32_MAX; 0: it sends none */
+    uint8_t keeps_device; /* 1: frames keep the device's time, but for its turn */
+    int64_t silence_ns;   /* between two arrivals: more stops a call */
+    int64_t bucket_ns;    /* samples are enough when this lies between the first and the last, */
+    size_t bucket_least;  /* and there are so many of them; */
+    size_t bucket_most;   /* any time: or when there are so many */
+    double byte_ns;       /* any time: what a byte takes on the line, 0 to CANSER_BYTE_NS_MAX */
+    canser_line line;     /* any time: what the device's clock stands at, */
+    uint8_t has_line;     /* any time: 1: if that is known */
+    canser_trust trust;   /* any time */
+    canser_sample *samples; /* any time: room for samples, */
+    size_t sample_cap;      /* any time: for so many; may be NULL if that is 0 */
+    size_t sample_count;    /* any time: samples in it. Each call adds some */
+    int stopped;            /* CANSER_TIMING_*: why the last call has returned */
+    /* Private. */
+    canser_turns turns;
+    canser_least_late least_late; /* of the piece that the last frame was in */
+    int64_t piece_end;            /* of that piece */
+    int64_t arrived;              /* when the last frame had come */
+    int64_t latest;               /* no host time lies before this one */
+} canser_timing;
 
 /* The state of one stream. Lives in the caller's memory, may be copied, holds
  * no pointer into the caller's buffers. Fields are the library's own. */
@@ -268,7 +287,7 @@ typedef struct {
     canser_frame *frames;
     size_t frame_cap;
     int64_t *offsets;         /* stream offset of each frame, frame_cap long; or NULL */
-    int64_t *ends;            /* stream offset behind each, as long; or NULL; needs `offsets` */
+    int64_t *ends;            /* stream offset behind each, as long; or NULL */
     canser_control *controls; /* or NULL: control packets are counted, not kept */
     size_t control_cap;
     size_t frame_count;
@@ -426,67 +445,39 @@ int canser_configure(const canser_protocol *protocol, const canser_config *confi
 int canser_explain(const canser_protocol *protocol, const uint8_t *packet, size_t len,
                    canser_report *report);
 
-/* When bytes had come over a line that takes `byte_ns`, 0 or more, for each.
+/* Set the times of frames[*done..count), the next ones of a stream, in place; `*done` goes on with
+ * those that have them.
  *
- * arrivals[i] is the time of the byte at offset at[i]. It came with the first piece that
- * ends behind it; as much before pieces[].ns as the rest of that piece takes, rounded down,
- * but not before the piece before. So pieces[0] only tells when the next one began, unless a
- * byte asked for lies in it. Behind the last piece all bytes have its time.
+ * at[i] is the stream offset of a frame's first byte where the device sends times, else the one
+ * behind its last byte: the first or the last byte is the one that counts. It came with the first
+ * piece that ends behind it; as much before pieces[].ns as the rest of that piece takes on the
+ * line, rounded down, but not before the piece before. So pieces[0] only tells when the next one
+ * began, unless a byte asked for lies in it. Behind the last piece all bytes have its time.
+ * Without times of a device that is all, and frames[i].ts may be anything.
  *
- * Pieces and offsets are in ascending order, else the times are of no use. Returns
- * CANSER_OK, or CANSER_NULL (also for no pieces), CANSER_MISALIGNED or CANSER_RANGE before
- * anything is written. */
-int canser_times_arrivals(const canser_piece *pieces, size_t piece_count, double byte_ns,
-                          const int64_t *at, size_t count, int64_t *arrivals);
-
-/* Set device times to the turn of the counter that is nearest to the host's clock, in place.
+ * Else frames[i].ts is what a decoder with the same `tick_ns` gave. A counter of 32 bits tells a
+ * time but for whole turns; the host's clock tells the turn, as long as the arrival is late by
+ * less than half a turn: after a silence of any length, and whatever false times came before. The
+ * first frame keeps the value of its counter. A frame then has
  *
- * times[i] is any time that a decoder with the same `tick_ns` gave the frame, and arrivals[i]
- * when the frame had come. A counter of 32 bits tells a time but for whole turns; the host's
- * clock tells the turn, as long as the arrival is late by less than half a turn: after a silence
- * of any length, and whatever false times came before. The first frame keeps the value of its
- * counter. `self` is all zero for a new stream; the result does not depend on how the frames are
- * cut into calls. Returns CANSER_OK, or CANSER_NULL, CANSER_MISALIGNED or CANSER_TICK before
- * anything is written. */
-int canser_times_turns(canser_turns *self, int64_t tick_ns, const int64_t *arrivals, size_t count,
-                       int64_t *times);
-
-/* Find the least late frame of each piece, of which an estimate of the device's clock can learn.
+ * - with keeps_device that time of the device;
+ * - while no line is known, or where what it gives is not believed, its arrival;
+ * - else the host's time by the line, but none behind its arrival, and none before any other that
+ *   a line gave, or before the last arrival without one.
  *
- * The arguments are those of canser_times_arrivals and what it gave; device[i] is the time of
- * frame i by the device's clock, at[i] the offset at which it starts. A sample is the frame of a
- * piece with the lowest arrival less device time; but false frames have any device time, so one of
- * the two lowest that is lower than the next one by over a minute does not count. It is given once
- * a frame of a later piece has come, in this call or the next one. `self` is all zero for a new
- * stream. `samples` has room for `count`; `*sample_count` is set on every return on which it
- * is not NULL. Returns as canser_times_arrivals. */
-int canser_times_sample(canser_sampler *self, const canser_piece *pieces, size_t piece_count,
-                        const int64_t *at, size_t count, const int64_t *device,
-                        const int64_t *arrivals, canser_sample *samples, size_t *sample_count);
-
-/* How far arrivals lie above a line: arrivals[i] less the host's time for device[i], modulo
- * 2^64. Returns as canser_times_arrivals. */
-int canser_times_heights(const canser_line *line, const int64_t *device, const int64_t *arrivals,
-                         size_t count, int64_t *heights);
-
-/* Turn arrivals into host times by a line, in place: times[i] of a frame with device[i].
+ * Each piece with a frame gives a sample, of which an estimate of the device's clock can learn:
+ * its frame with the lowest arrival less device time. False frames have any device time: so one of
+ * the two lowest that is lower than the next one by over a minute does not count. A sample is
+ * given once a frame of a later piece is at hand; before that frame a call stops when the samples
+ * are enough or their room is full, and so it does before the first frame after a silence. The
+ * caller changes what it learns, and calls again with the rest.
  *
- * One that is not believed stays as it is. The others have the host's time for device[i],
- * but none behind its arrival, and none before *latest: that is the latest time so far, on
- * entry and on return. Returns as canser_times_arrivals; after an error *latest is as it
- * was. */
-int canser_times_map(const canser_line *line, const canser_trust *trust, const int64_t *device,
-                     size_t count, int64_t *times, int64_t *latest);
-
-/* The value that has `rank` others before it in ascending order, and the lowest and the highest
- * one, in a time that grows as `count` does whatever the values are. Returns CANSER_OK;
- * CANSER_NULL, also where there are no more than `rank` values; CANSER_MISALIGNED. `*ranked` is
- * set on every return on which it is not NULL, to zeros after an error. */
-int canser_times_rank(const int64_t *values, size_t count, size_t rank, canser_ranked *ranked);
-
-/* Where the value stands that has `rank` others before it, less than CANSER_LOWEST_MAX; of those
- * that are equal the first ones come first. Returns as canser_times_rank, or CANSER_RANGE. */
-int canser_times_lowest(const int64_t *values, size_t count, size_t rank, size_t *index);
+ * Pieces and offsets are in ascending order, and no piece has 2^32 bytes, else the times are of no
+ * use. What comes out does
+ * not depend on how frames are cut into calls. Returns CANSER_OK; CANSER_NULL (also for no
+ * pieces), CANSER_MISALIGNED, CANSER_TICK or CANSER_RANGE before anything is written. */
+int canser_timing_assign(canser_timing *self, const canser_piece *pieces, size_t piece_count,
+                         const int64_t *at, canser_frame *frames, size_t count, size_t *done);
 
 /* Which blocks of a recording canser_recording_gather() takes. The caller sets the first three
  * fields; a call goes on with next_id as the call before has left it. */

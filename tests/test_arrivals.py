@@ -7,20 +7,40 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canser._core.buffers import Times
-from canser.timing.arrivals import Arrivals, count_back
+from canser._core.buffers import FrameRoom, Times
+from canser._frames import FRAME_DTYPE
+from canser.timing.arrivals import NEVER_NS, Arrivals, count_back
+from canser.timing.clocks import FrameClock
 
 US, MS, S = 1_000, 1_000_000, 1_000_000_000
 EPOCH = 1_790_000_000 * S
 BYTE_NS = 1e10 / 115_200
 
 
+def read_rows(reads: list[tuple[int, int]]) -> Times:
+    """Return where reads end and when, by their sizes and the times between them."""
+    rows: Times = np.cumsum(np.array(reads), axis=0)
+    rows[:, 1] += EPOCH
+    return rows
+
+
 def arrivals_of(reads: list[tuple[int, int]], byte_ns: float = BYTE_NS) -> Arrivals:
     """Return arrivals by the sizes of reads and the times between them."""
     arrivals = Arrivals(byte_ns)
-    ends, times = np.cumsum(np.array(reads), axis=0).T
-    arrivals.extend(ends, EPOCH + times)
+    arrivals.extend(*read_rows(reads).T)
     return arrivals
+
+
+def times_of(rows: Times, stops: list[int]) -> tuple[Times, Arrivals]:
+    """Return when each byte had come, asked for behind some of the reads, and the arrivals."""
+    clock, size = FrameClock(None, BYTE_NS), int(rows[-1, 0])
+    ends = np.arange(size) + 1
+    room = FrameRoom(np.zeros(size, FRAME_DTYPE), None, ends)
+    for k, row in enumerate(rows.tolist(), start=1):
+        clock.arrivals.add(*row)
+        if k in stops or k == len(rows):
+            clock.assign_times(room, row[0], row[0])
+    return room.frames["ts"], clock.arrivals
 
 
 def line_reads(
@@ -84,24 +104,15 @@ def test_reads_told_together_are_those_told_one_by_one(
 def test_bytes_have_their_times_whatever_is_forgotten(
     reads: list[tuple[int, int]], stops: list[int]
 ) -> None:
-    whole = arrivals_of(reads)
-    at = np.arange(whole.end)
-    want, got = np.empty((2, whole.end), np.int64)
-    whole.find(at, want)
-    arrivals, done = Arrivals(BYTE_NS), 0
-    for k, row in enumerate(whole.pieces.reshape(-1, 2)[1:].tolist()):
-        arrivals.add(*row)
-        if k in stops or row[0] == whole.end:
-            arrivals.find(at[done : row[0]], got[done : row[0]])
-            arrivals.forget_before(row[0])
-            done = row[0]
+    rows = read_rows(reads)
+    want, whole = times_of(rows, [len(rows)])
+    got, _ = times_of(rows, stops)
     if whole.unrated_from is None:
         assert np.array_equal(got, want)
     assert (np.diff(want) >= 0).all()
     # The rule in one line, for each byte by itself.
     unrated = whole.end if whole.unrated_from is None else whole.unrated_from
-    pieces = whole.pieces.reshape(-1, 2).tolist()
-    for (begin, before), (end, ns) in pairwise(pieces):
+    for (begin, before), (end, ns) in pairwise([(0, NEVER_NS), *rows.tolist()]):
         for byte in range(begin, end):
             byte_ns = BYTE_NS if byte < unrated else 0
             assert want[byte] == count_back(ns, end - byte - 1, byte_ns, before)
@@ -115,7 +126,7 @@ def test_times_never_go_back() -> None:
                 arrivals.add(end, ns)
             else:
                 arrivals.extend(np.array([end]), np.array([ns]))
-        assert arrivals.pieces[2:].tolist() == [10, 5000, 20, 5000, 30, 6000]
+        assert arrivals.pieces[1:].tolist() == [[10, 5000], [20, 5000], [30, 6000]]
 
 
 @pytest.mark.parametrize("rate", [13_000, 20_000, 100_000])
@@ -130,9 +141,12 @@ def test_more_bytes_than_the_rate_allows_disprove_it(rate: int) -> None:
     arrivals = arrivals_of([(10, 0), (10, S // 2), *[a_millisecond] * 60_000])
     assert arrivals.unrated_from is not None
     assert arrivals.unrated_from / rate == pytest.approx(0.6 * allowed / 10.1, rel=0.2)
-    times = np.empty(1, np.int64)
-    arrivals.find(np.array([arrivals.end - rate // 1000]), times)
-    assert times[0] == arrivals.last_ns
+    # From there on nothing is counted back.
+    rows = read_rows([(10, 0), (10, S // 2), *[a_millisecond] * 8000])
+    times, arrivals = times_of(rows, [])
+    assert arrivals.unrated_from is not None
+    behind = rows[rows[:, 0] > arrivals.unrated_from]
+    assert np.array_equal(np.unique(times[arrivals.unrated_from :]), behind[:, 1])
 
 
 def test_a_line_that_keeps_its_rate_is_believed() -> None:

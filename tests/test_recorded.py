@@ -15,6 +15,7 @@ import canser
 import plain_pcapng
 from calls import BAD_CALL, BAD_DATA, GOOD, assert_fails, names, run
 from canser import _input
+from canser._core.buffers import FrameRoom
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser.errors import CanserWarning, NoProtocolError, RecordingError
 from canser.recording.header import RecordingInfo
@@ -105,7 +106,8 @@ def test_times_are_those_of_the_line(protocol: str, tmp_path: Path) -> None:
     for data, arrival, _ in pieces:
         end += len(data)
         clock.arrivals.add(end, arrival)
-    clock.assign_times(live, offsets if clocked else np.append(offsets[1:], len(raw)) - 1, len(raw))
+    room = FrameRoom(live, offsets, np.append(offsets[1:], len(raw)))
+    clock.assign_times(room, len(live), len(raw))
     path = record(tmp_path / "run.pcapng", pieces, replace(INFO, protocol=protocol))
     got = canser.read(path)
     assert np.abs(got["ts"] - live["ts"]).max() <= 3 * MS

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 import canser
 import reference
 import shared
-from canser._core.buffers import FrameRoom
+from canser._core.buffers import FrameRoom, input_bytes
 from conftest import Run, assert_agree
 from reference import ID_EXT_MAX, ID_MAX, NO_TIME, TICK_NS, Frame
 
@@ -256,16 +256,20 @@ def judge(protocol: str, stream: bytes, cuts: list[int], rooms: list[int], unit:
     assert whole.dtype == canser.FRAME_DTYPE
     assert whole.tobytes() == streamed
     pieces = [stream[start:end] for start, end in pairwise([0, *ends, len(stream)])]
-    spans = find_spans(protocol, pieces, rooms)
-    assert spans == [*zip(expected.offsets, expected.ends, strict=True)]
+    spans = [[offset, end] for offset, end in zip(expected.offsets, expected.ends, strict=True)]
+    assert find_spans(protocol, pieces, rooms, [True, True]) == spans
+    assert find_spans(protocol, pieces, rooms, [False, True]) == [[-1, end] for _, end in spans]
 
 
-def find_spans(protocol: str, pieces: list[bytes], rooms: list[int]) -> list[tuple[int, int]]:
-    """Return where each frame begins and ends, with room for a few at a time."""
+def find_spans(
+    protocol: str, pieces: list[bytes], rooms: list[int], wanted: list[bool]
+) -> list[list[int]]:
+    """Return where each frame begins and ends, as wanted, with room for a few at a time."""
     decoder = canser.Decoder(protocol)
     rows = np.empty((2, max(rooms)), np.int64)
-    room = FrameRoom(np.empty(max(rooms), canser.FRAME_DTYPE), *rows)
-    spans: list[tuple[int, int]] = []
+    arrays = [row if want else None for row, want in zip(rows, wanted, strict=True)]
+    room = FrameRoom(np.empty(max(rooms), canser.FRAME_DTYPE), *arrays)
+    spans: list[list[int]] = []
     most = cycle(rooms)
     for piece in [*pieces, None]:
         rest = piece
@@ -275,9 +279,10 @@ def find_spans(protocol: str, pieces: list[bytes], rooms: list[int]) -> list[tup
             if rest is None:
                 decoder.flush_room(room, 0, next(most))
             else:
-                rest = rest[decoder.feed_room(rest, room, 0, next(most)) :]
+                source = input_bytes(rest)
+                rest = rest[decoder.feed_room(source, len(rest), room, 0, next(most)) :]
             count = decoder.counters.frames - before
-            spans += zip(*rows[:, :count].tolist(), strict=True)
+            spans += rows[:, :count].T.tolist()
             assert (rows[:, count:] == -1).all()
     return spans
 

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import canser
+from canser._core.buffers import FrameRoom
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser.timing.clocks import ClockEstimate, FrameClock
 
@@ -91,6 +92,12 @@ def ticks(truth: Times, unit: str = "ms", ppm: float = 0, zero: int = EPOCH - 77
     return elapsed // TICK[unit] * TICK[unit]
 
 
+def room_of(at: Times | list[int]) -> FrameRoom:
+    """Return room with frames whose bytes that count are at these offsets."""
+    offsets = np.array(at, np.int64)
+    return FrameRoom(np.zeros(len(offsets), FRAME_DTYPE), offsets, offsets + 1)
+
+
 def feed(
     clock: FrameClock, stream: Stream, device: Times | None = None, batch: int = 4096
 ) -> Iterator[FrameArray]:
@@ -104,11 +111,11 @@ def feed(
         while arrived < end:
             arrived, ns = next(pieces)
             clock.arrivals.add(arrived, ns)
-        frames = np.zeros(len(part), FRAME_DTYPE)
+        room = room_of(part)
         if device is not None:
-            frames["ts"] = device[start : start + batch]
-        clock.assign_times(frames, part, end)
-        yield frames
+            room.frames["ts"] = device[start : start + batch]
+        clock.assign_times(room, len(part), end)
+        yield room.frames
 
 
 def unit_of(device: Times) -> int:
@@ -160,19 +167,19 @@ def test_the_last_byte_counts_and_noise_behind_it_does_not() -> None:
     clock = FrameClock(None, 100)
     clock.arrivals.add(5, 1000)
     clock.arrivals.add(100, 50_000)
-    frames = np.zeros(3, FRAME_DTYPE)
-    clock.assign_times(frames, np.array([5, 15, 98]), 99)
+    room = room_of([5, 15, 98])
+    clock.assign_times(room, 3, 99)
     # The first one straddles two reads; behind the last byte of the third there is one more.
-    assert frames["ts"].tolist() == [50_000 - 9400, 50_000 - 8400, 50_000 - 100]
+    assert room.frames["ts"].tolist() == [50_000 - 9400, 50_000 - 8400, 50_000 - 100]
 
 
 def test_no_byte_came_before_the_piece_before() -> None:
     clock = FrameClock(None, 100)
     clock.arrivals.add(10, 1000)
     clock.arrivals.add(30, 1500)
-    frames = np.zeros(3, FRAME_DTYPE)
-    clock.assign_times(frames, np.array([9, 19, 29]), 30)
-    assert frames["ts"].tolist() == [1000, 1000, 1500]
+    room = room_of([9, 19, 29])
+    clock.assign_times(room, 3, 30)
+    assert room.frames["ts"].tolist() == [1000, 1000, 1500]
 
 
 def test_arrivals_never_go_back() -> None:
@@ -180,9 +187,9 @@ def test_arrivals_never_go_back() -> None:
     clock.arrivals.add(10, 5000)
     clock.arrivals.add(20, 4000)
     clock.arrivals.add(30, 4500)
-    frames = np.zeros(3, FRAME_DTYPE)
-    clock.assign_times(frames, np.array([9, 19, 29]), 30)
-    assert frames["ts"].tolist() == [5000, 5000, 5000]
+    room = room_of([9, 19, 29])
+    clock.assign_times(room, 3, 30)
+    assert room.frames["ts"].tolist() == [5000, 5000, 5000]
 
 
 def test_frames_need_arrivals() -> None:
@@ -191,15 +198,15 @@ def test_frames_need_arrivals() -> None:
     with pytest.raises(
         ValueError, match=r"offset 11, .* up to 10 only; tell of the arrivals first"
     ):
-        clock.assign_times(np.zeros(1, FRAME_DTYPE), np.array([0]), 11)
+        clock.assign_times(room_of([0]), 1, 11)
 
 
 def test_pieces_are_forgotten_when_all_is_decoded() -> None:
     clock = FrameClock(None, 100)
     for piece in range(1, 1000):
         clock.arrivals.add(piece * 10, piece)
-        clock.assign_times(np.zeros(0, FRAME_DTYPE), np.zeros(0, np.int64), piece * 10 - 3)
-        assert len(clock.arrivals.pieces) <= 2 * 3
+        clock.assign_times(room_of([0]), 0, piece * 10 - 3)
+        assert len(clock.arrivals.pieces) <= 3
 
 
 # With a clock.
@@ -540,11 +547,11 @@ def test_whatever_comes_has_a_time_between_its_arrivals(
             if gap == "g":
                 clock.gap()
             clock.arrivals.add(int(end), int(ns))
-        offsets = np.array([s for s in starts if ends[first] <= s < ends[last]], np.int64)
-        frames = np.zeros(len(offsets), FRAME_DTYPE)
-        frames["ts"] = [clocks[int(offset) % len(clocks)] + int(offset) % 2 for offset in offsets]
-        clock.assign_times(frames, offsets, int(ends[last]))
-        got += frames["ts"].tolist()
+        offsets = [s for s in starts if ends[first] <= s < ends[last]]
+        room = room_of([*offsets, 0])  # some room there must be
+        room.frames["ts"][:-1] = [clocks[at % len(clocks)] + at % 2 for at in offsets]
+        clock.assign_times(room, len(offsets), int(ends[last]))
+        got += room.frames["ts"][:-1].tolist()
     assert len(got) == len(starts)
     if not clocked:
         assert got == sorted(got)

@@ -4,19 +4,14 @@ A counter of microseconds turns once in 71.6 minutes, one of milliseconds once i
 nanoseconds once in 4.3 seconds.
 """
 
-from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import canser
 from canser._core.buffers import Times
-from canser._core.clock import ClockTurns
 from canser._frames import FRAME_DTYPE
 from canser.live import ports
 from canser.recording.header import RecordingInfo
@@ -30,80 +25,7 @@ MINUTE, HOUR, DAY = 60 * S, 3600 * S, 86_400 * S
 TICK = {"s": S, "ms": MS, "us": US, "ns": 1}
 EPOCH = 1_790_000_000 * S
 BYTE_NS = 1e10 / 2_000_000
-TURN, SMALL, IN_LINE = 2**32, 2**24, 16
-
-# What C does, in plain Python.
-
-
-def wrapped(value: int, bits: int = 64) -> int:
-    value %= 2**bits
-    return value - 2**bits if value >> (bits - 1) else value
-
-
-@dataclass
-class PlainTurns:
-    """The rule: the last reading that was near those before it tells the turn."""
-
-    tick_ns: int
-    known: tuple[int, int] | None = None
-    last: tuple[int, int] = (0, 0)
-    run: int = 0
-
-    def near(self, raw: int, host: int, reading: tuple[int, int]) -> tuple[int, bool]:
-        """Return the value nearest to what is expected at a time, and whether it is near it."""
-        ticks, before = reading
-        expected = ticks + int(float(wrapped(host - before)) * (1.0 / self.tick_ns))
-        away = wrapped(raw - expected, 32)
-        return expected + away, -SMALL <= away <= SMALL
-
-    def time(self, raw: int, host: int) -> int:
-        if self.known is None:
-            self.known = raw, host
-            return wrapped(raw * self.tick_ns)
-        ticks, is_near = self.near(raw, host, self.known)
-        if is_near:
-            self.known, self.run = (ticks, host), 0
-        else:
-            follows, goes_on = self.near(raw, host, self.last)
-            goes_on &= self.run > 0
-            ticks = follows if goes_on else ticks
-            self.run = self.run + 1 if goes_on else 1
-            self.last = ticks, host
-            if self.run == IN_LINE:
-                self.known, self.run = self.last, 0
-        return wrapped(ticks * self.tick_ns)
-
-
-RAWS = st.integers(0, TURN - 1) | st.integers(0, 300) | st.sampled_from([0, 2**31, 2**24, TURN - 1])
-STEPS = st.integers(0, 10**7) | st.integers(0, 10**16) | st.sampled_from([0, MS, HOUR])
-
-
-@given(
-    st.sampled_from(sorted(TICK)),
-    st.lists(st.tuples(STEPS, st.none() | RAWS), min_size=1, max_size=80),
-    st.integers(-5, 5),
-    st.lists(st.integers(0, 80), max_size=4),
-)
-def test_turns_against_plain_python(
-    unit: str, frames: list[tuple[int, int | None]], turn: int, cuts: list[int]
-) -> None:
-    tick_ns, host = TICK[unit], EPOCH
-    plain = PlainTurns(tick_ns)
-    hosts, given_times, want = [], [], []
-    for number, (step, drawn) in enumerate(frames):
-        host = min(host + step, 2**63 - 1)
-        # What the counter says at this time, if it is not any value.
-        raw = (host // tick_ns + 12345) % TURN if drawn is None else drawn
-        hosts.append(host)
-        # A decoder may be any turns off, and times in seconds are taken modulo 2^64 by it.
-        given_times.append(wrapped((raw + (turn + number % 3) * TURN) * tick_ns))
-        want.append(plain.time(raw, host))
-    got, arrivals = np.array(given_times), np.array(hosts)
-    turns = ClockTurns(tick_ns)
-    for begin, end in pairwise([0, *sorted(cut for cut in cuts if cut < len(got)), len(got)]):
-        turns.assign(got[begin:end], arrivals[begin:end])
-    assert got.tolist() == want
-
+TURN = 2**32
 
 # The whole way from bytes to times.
 

@@ -127,24 +127,36 @@ def output_room(
 class FrameRoom:
     """Room for frames, and for where each begins and ends: checked once, its pointers kept.
 
-    `offsets` and `ends`: int64, as long as `frames`.
+    `offsets` and `ends`: int64, as long as `frames`; None where they are not wanted.
     """
 
-    def __init__(self, frames: FrameArray, offsets: Times, ends: Times) -> None:
+    def __init__(self, frames: FrameArray, offsets: Times | None, ends: Times | None) -> None:
         self.frames, self.offsets, self.ends = frames, offsets, ends
-        self._at = (
-            output_frames(frames),
-            output_offsets(offsets, len(frames)),
-            output_offsets(ends, len(frames)),
-        )
+        self.frames_at = output_frames(frames)
+        self.offsets_at = output_offsets(offsets, len(frames))
+        self.ends_at = output_offsets(ends, len(frames))
+        self.timed_at = ffi.new("size_t *")
 
     def __len__(self) -> int:
         return len(self.frames)
 
+    @property
+    def timed(self) -> int:
+        """How many frames have their final times, the first ones."""
+        return int(self.timed_at[0])
+
+    @timed.setter
+    def timed(self, count: int) -> None:
+        self.timed_at[0] = count
+
     def between(self, count: int, most: int) -> tuple[Pointer, int, Pointer, Pointer]:
         """Return where frames go behind the first `count`, until there are `most`."""
-        frames, offsets, ends = self._at
-        return frames + count, most - count, offsets + count, ends + count
+        return (
+            self.frames_at + count,
+            most - count,
+            self.offsets_at if self.offsets is None else self.offsets_at + count,
+            self.ends_at if self.ends is None else self.ends_at + count,
+        )
 
 
 def output_bytes(out: npt.NDArray[np.uint8]) -> Pointer:

@@ -187,18 +187,19 @@ class Decoder(Uncopied):
             self._keep_controls()
         return count
 
-    def feed_room(self, data: BytesLike, room: FrameRoom, count: int, most: int) -> int:
+    def feed_room(
+        self, source: Pointer, source_len: int, room: FrameRoom, count: int, most: int
+    ) -> int:
         """Decode the next bytes into room behind `count` frames, until it has `most`.
 
-        For this package's own use. Returns the bytes used; `frames` tells how many frames came,
-        whatever exception ends this.
+        For this package's own use. Returns the bytes used; `counters.frames` tells how many frames
+        came, whatever exception ends this.
         """
-        source = input_bytes(data)
         used = 0
         with self._lock:
-            while used < len(source) and count < most:
+            while used < source_len and count < most:
                 self._stream.aim_at(*room.between(count, most))
-                more_count, controls, more = self._stream.feed(source + used, len(source) - used)
+                more_count, controls, more = self._stream.feed(source + used, source_len - used)
                 count += more_count
                 used += more
                 if not controls:

@@ -64,7 +64,7 @@ class Recording(Iterator[DataBlock]):
         self.close()
         raise StopIteration
 
-    def runs(self, room_bytes: int = 1 << 18) -> Iterator[DataRun]:
+    def runs(self, room_bytes: int = 1 << 19) -> Iterator[DataRun]:
         """Yield the bytes of many blocks at once, of those that nothing is unusual about.
 
         All others are a run of their own, however long they are. The runs have the bytes, times

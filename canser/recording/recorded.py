@@ -14,10 +14,6 @@ from canser.timing.loop import TimedDecoder
 
 __all__ = ["RecordedFrames"]
 
-# Frames get their times this many at a time: few enough that the arrays fit a cache, and that
-# the allocator keeps them (fresh pages cost more than the times).
-_TIMED_AT_ONCE = 4096
-
 # The first bytes of the line that are kept.
 _HEAD_LEN = 1 << 16
 
@@ -102,10 +98,7 @@ class RecordedFrames:
                 self.head += run.data[: _HEAD_LEN - len(self.head)]
             done, size = 0, len(run.data)
             while done < size:
-                most = min(loop.count + _TIMED_AT_ONCE, len(self._out))
-                done += loop.feed(run.data[done:], most)
-                if loop.count - loop.timed >= _TIMED_AT_ONCE:
-                    loop.assign_times()
+                done += loop.feed(run.data[done:] if done else run.data, len(self._out))
                 if loop.count == len(self._out):
                     yield self._hand_over()
                     self._take(room)

@@ -4,8 +4,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canser._core.buffers import Times
-from canser._core.clock import find_arrivals
+from canser._core.buffers import Pointer, Times
+from canser._core.timing import pieces_at
 
 __all__ = ["Arrivals", "DataBlock", "DataRun", "count_back"]
 
@@ -25,8 +25,8 @@ _HELD_NS: Final = 10_000_000_000
 # Bit rates are off by some percent: 2.1 where a clock of 16 MHz makes 115,200 baud.
 _RATE_SLACK: Final = 0.97
 
-# So many reads are looked at one by one.
-_FEW: Final = 4
+# Up to so many reads are looked at one by one.
+_FEW: Final = 8
 
 
 class DataBlock(NamedTuple):
@@ -77,11 +77,11 @@ class Arrivals:
     """
 
     def __init__(self, byte_ns: float, *, keeps_rate: bool = False) -> None:
-        self._byte_ns, self._keeps_rate = byte_ns, keeps_rate
+        self._keeps_rate = keeps_rate
         self._least_ns = byte_ns * _RATE_SLACK
         # The offset behind each read, and its time. The first one holds no byte that is still
         # asked for: it tells when the next one began.
-        self._rows = np.empty((64, 2), np.int64)
+        self._use(np.empty((64, 2), np.int64))
         self._begin, self._end = 0, 1
         self._rows[0] = 0, NEVER_NS
         #: The offset behind all that has arrived, and when the last of it had.
@@ -100,7 +100,8 @@ class Arrivals:
             self._make_room(1)
         before_end, before_ns = self.end, self.last_ns
         ns = max(ns, before_ns)
-        self._rows[self._end] = end, ns
+        piece = self._at[self._end]
+        piece.end, piece.ns = end, ns
         self._end += 1
         self.end, self.last_ns = end, ns
         if self.unrated_from is not None or self._keeps_rate:
@@ -115,7 +116,9 @@ class Arrivals:
     def extend(self, ends: Times, times: Times) -> None:
         """Take note of several reads, as `add` does of one."""
         count = len(ends)
-        if not count:
+        if count <= _FEW:
+            for end, ns in zip(ends.tolist(), times.tolist(), strict=True):
+                self.add(end, ns)
             return
         if len(self._rows) - self._end < count:
             self._make_room(count)
@@ -143,30 +146,24 @@ class Arrivals:
         """Take note that the stream was interrupted: the next read may hold bytes of any age."""
         self._excess_ns = -_HELD_NS
 
-    def find(self, at: Times, times: Times) -> None:
-        """Set `times` to when the bytes at these offsets had come; they are in ascending order."""
-        pieces = self.pieces
-        rated = len(at)
-        if self.unrated_from is not None:
-            rated = int(at.searchsorted(self.unrated_from))
-        if rated:
-            find_arrivals(pieces, self._byte_ns, at[:rated], times[:rated])
-        if rated < len(at):
-            find_arrivals(pieces, 0.0, at[rated:], times[rated:])
-
     @property
     def pieces(self) -> Times:
-        """The offset behind each read that is kept and its time, in turn."""
-        return self._rows[self._begin : self._end].reshape(-1)
+        """The offset behind each read that is kept and its time, shape (n, 2)."""
+        return self._rows[self._begin : self._end]
+
+    @property
+    def kept(self) -> tuple[Pointer, int]:
+        """Where these begin in memory, and how many there are; good until reads are added."""
+        return self._at + self._begin, self._end - self._begin
 
     def forget_before(self, offset: int) -> None:
         """Forget the reads that hold no byte from this offset on, all but the last of them."""
-        rows, begin = self._rows, self._begin
+        at, begin = self._at, self._begin
         # Mostly one or two: a search would take longer.
-        while begin + 1 < self._end and rows[begin + 1, 0] <= offset:
+        while begin + 1 < self._end and at[begin + 1].end <= offset:
             begin += 1
             if begin == self._begin + _FEW:
-                ends = rows[begin : self._end, 0]
+                ends = self._rows[begin : self._end, 0]
                 begin += max(int(ends.searchsorted(offset, "right")) - 1, 0)
         self._begin = begin
 
@@ -176,4 +173,8 @@ class Arrivals:
         if 2 * (len(kept) + count) > len(rows):
             rows = np.empty((4 * (len(kept) + count), 2), np.int64)
         rows[: len(kept)] = kept.copy()
-        self._rows, self._begin, self._end = rows, 0, len(kept)
+        self._use(rows)
+        self._begin, self._end = 0, len(kept)
+
+    def _use(self, rows: Times) -> None:
+        self._rows, self._at = rows, pieces_at(rows)

@@ -19,9 +19,9 @@ A delay is milliseconds as a rule, and seconds when the host was busy and bytes 
 but in every second some frames come through at once. So the lower envelope is the
 estimate, and late frames do not matter to it:
 
-- Each piece gives one *sample*: its frame with the lowest difference, but for false frames
-  (canser_times_sample). So a burst on a line that is faster than `byte_ns` says, whose first
-  frames seem to come too early, is one sample.
+- Each piece gives one *sample*: its frame with the lowest difference, but for false frames. So a
+  burst on a line that is faster than `byte_ns` says, whose first frames seem to come too early, is
+  one sample.
 - Samples are gathered into *buckets* of a second. A bucket gives one *point*: its third lowest
   difference (of equal ones the first counts as the lowest), because a false frame out of noise,
   or the first one of a burst, may be lower than all others. Differences over a minute from the
@@ -39,8 +39,8 @@ estimate, and late frames do not matter to it:
 - To have an estimate after a few frames, the buckets of the first second are of 4 samples, then
   of as many as there have been; and so again after a gap.
 
-A counter of 32 bits tells the device's time but for whole turns. The arrival tells the turn
-(canser_times_turns): so neither a silence nor false times put a clock a turn off.
+A counter of 32 bits tells the device's time but for whole turns. The arrival tells the turn:
+so neither a silence nor false times put a clock a turn off.
 
 The estimate that maps a frame is that of the buckets before its own. A frame keeps its
 arrival where the mapped time is impossible (10 ms after the arrival, or more), implausible
@@ -55,6 +55,9 @@ The rate of the device's clock is the median of the last buckets' rates. If that
 about the host's own, the unit of its ticks is not what the caller believes, or it is no
 clock at all: all frames keep their arrivals, and `remark` says so.
 
+C does what is done for each frame (canser_timing_assign), in one pass: it stops where a bucket is
+full or a silence ends, and goes on with what is then known.
+
 All arithmetic on times is int64, modulo 2**64 as device times are; floats hold small differences
 only (a float64 of epoch nanoseconds resolves 256 ns).
 """
@@ -68,11 +71,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from canser._core.buffers import Times
-from canser._core.clock import ClockLine, ClockTurns, Sampler, find_lowest, find_ranked
-from canser._frames import FrameArray
+from canser._core.buffers import FrameRoom, Times
+from canser._core.timing import BUCKET, FrameTiming
 from canser._protocols import TS_UNITS
-from canser.timing.arrivals import NEVER_NS, Arrivals
+from canser.timing.arrivals import Arrivals
 
 __all__ = ["ClockEstimate", "FrameClock"]
 
@@ -162,17 +164,19 @@ class FrameClock:
         recorded: bool = False,
     ) -> None:
         self.arrivals = Arrivals(byte_ns, keeps_rate=recorded and tick_ns is None)
-        self._turns = None if tick_ns is None else ClockTurns(tick_ns)
-        self._clock = None if tick_ns is None or device_time else _DeviceClock()
-        self._device_time = device_time
-        self._relearned = False  # since it is known that the line has no bit rate of its own
-        self._arrived = NEVER_NS  # when the last frame had come
-        self._device = self._times = np.empty(0, np.int64)
-
-    @property
-    def by_begin(self) -> bool:
-        """Whether a frame's time is that of its first byte, not of its last one."""
-        return self._turns is not None
+        #: Whether a frame's time is that of its first byte, not of its last one.
+        self.by_begin = tick_ns is not None
+        self._timing = FrameTiming(
+            tick_ns or 0,
+            byte_ns,
+            keeps_device=device_time,
+            silence_ns=_SILENCE_NS,
+            bucket_ns=_BUCKET_NS,
+            bucket_least=_BUCKET_SAMPLES,
+            early_ns=_TOLERANCE_NS,
+        )
+        self._clock = None if tick_ns is None or device_time else _DeviceClock(self._timing)
+        self._rated = True  # as long as it is not known that the line has no bit rate of its own
 
     def gap(self) -> None:
         """Take note that behind all that has arrived the stream was interrupted.
@@ -184,13 +188,12 @@ class FrameClock:
         if self._clock is not None:
             self._clock.gap()
 
-    def assign_times(self, frames: FrameArray, at: Times, end: int) -> None:
-        """Set `frames["ts"]`, in place.
+    def assign_times(self, room: FrameRoom, count: int, end: int) -> None:
+        """Set the times of the first `count` frames in a room, of those that have none yet.
 
-        `frames`: FRAME_DTYPE, shape (n,), with the decoder's times if the format has any. `at`:
-        int64, shape (n,), the offset of the byte whose time counts: the first one of a frame that
-        comes with a time, else the last one. `end`: the offset behind the last packet decoded;
-        what arrived before it is forgotten. ValueError if that lies behind all that has arrived.
+        They are those of the decoder, if the format has any. `end`: the offset behind the last
+        packet decoded; what arrived before it is forgotten. ValueError if that lies behind all that
+        has arrived.
         """
         arrivals = self.arrivals
         if end > arrivals.end:
@@ -198,18 +201,10 @@ class FrameClock:
                 f"frames end at offset {end}, but bytes have arrived up to {arrivals.end} only; "
                 "tell of the arrivals first"
             )
-        count = len(frames)
-        if count:
-            if len(self._times) < count:
-                self._device, self._times = np.empty((2, count), np.int64)
-            device, times = self._device[:count], self._times[:count]
-            arrivals.find(at, times)
-            if self._turns is not None:
-                device[:] = frames["ts"]
-                self._turns.assign(device, times)
-            if self._clock is not None:
-                self._map(self._clock, at, device, times)
-            frames["ts"] = device if self._device_time else times
+        if room.timed < count:
+            if self._rated and arrivals.unrated_from is not None:
+                self._pass_border(room, count, arrivals.unrated_from)
+            self._assign(room, count)
         arrivals.forget_before(end)
 
     @property
@@ -222,43 +217,45 @@ class FrameClock:
         """What is wrong with the device's clock, so that frames have arrival times; or None."""
         return None if self._clock is None else self._clock.remark
 
-    def _map(self, clock: "_DeviceClock", at: Times, device: Times, times: Times) -> None:
-        """Turn arrivals into host times."""
-        pieces, begin = self.arrivals.pieces, 0
-        for border in self._find_borders(at, times):
-            clock.follow(pieces, at[begin:border], device[begin:border], times[begin:border])
-            clock.relearn()
-            begin = border
-        clock.follow(pieces, at[begin:], device[begin:], times[begin:])
+    def _assign(self, room: FrameRoom, count: int) -> None:
+        pieces, piece_count = self.arrivals.kept
+        while stopped := self._timing.assign(pieces, piece_count, room, count):
+            assert self._clock is not None
+            if stopped == BUCKET:
+                self._clock.learn()
+            else:
+                self._clock.relearn()
 
-    def _find_borders(self, at: Times, times: Times) -> list[int]:
-        """Return before which frames the estimate of the clock starts over, by their arrivals."""
-        borders = set()
-        if times[0] - self._arrived > _SILENCE_NS:
-            borders.add(0)
-        if times[-1] - times[0] > _SILENCE_NS:
-            borders.update((np.flatnonzero(np.diff(times) > _SILENCE_NS) + 1).tolist())
-        self._arrived = int(times[-1])
-        unrated = self.arrivals.unrated_from
-        if unrated is not None and not self._relearned and at[-1] >= unrated:
+    def _pass_border(self, room: FrameRoom, count: int, unrated_from: int) -> None:
+        """Stop counting back at this offset, if there is a frame behind it."""
+        first = room.timed
+        if self.by_begin:
+            assert room.offsets is not None
+            border = int(room.offsets[first:count].searchsorted(unrated_from))
+        else:
+            assert room.ends is not None
+            border = int(room.ends[first:count].searchsorted(unrated_from, "right"))
+        self._assign(room, first + border)
+        if first + border == count:
+            return
+        self._rated = False
+        self._timing.set_byte_time(0)
+        if self._clock is not None:
             # What was learned from arrivals that were counted back may be too early.
-            self._relearned = True
-            borders.add(int(at.searchsorted(unrated)))
-        return sorted(borders)
+            self._clock.relearn()
 
 
 class _DeviceClock:
     """The estimate of a device's clock, and host times by it; see the module's docstring."""
 
-    def __init__(self) -> None:
+    def __init__(self, timing: FrameTiming) -> None:
         self.estimate: ClockEstimate | None = None
         self.remark: str | None = None
-        self._line = ClockLine(_TOLERANCE_NS, NEVER_NS)
-        self._sampler = Sampler()
+        self._timing = timing
         # Buckets are short until a second has passed since the first one, or the first after a gap.
-        self._settled = False
         self._since: int | None = None
         self._tried = 0  # samples since then
+        timing.stop_at(_FIRST_SAMPLES)
         # Of the frame that was a bucket's minimum: device time, arrival, and their difference.
         self._points = np.empty((3, 0), np.int64)
         self._frames = 0  # in the buckets of these points, and before them
@@ -272,40 +269,6 @@ class _DeviceClock:
         self._longest_queue = _LONGEST_QUEUE_UNPROVEN_NS
         self._restarts = 0
 
-    def follow(self, pieces: Times, at: Times, device: Times, times: Times) -> None:
-        """Turn the arrivals of the next frames into host times, in place, and learn from them.
-
-        `pieces`, `at`: where the reads end and the frames begin, as `Sampler.add` takes them.
-        """
-        done = 0
-        self._sampler.add(pieces, at, device, times)
-        while bucket := self._find_bucket():
-            # The estimate that maps a frame is that of the samples that came before it.
-            stop = self._sampler.index(bucket - 1)
-            self._map(device[done:stop], times[done:stop])
-            done = stop
-            self._learn(self._sampler.take(bucket))
-        self._map(device[done:], times[done:])
-
-    def _find_bucket(self) -> int:
-        """Return how many samples make the next bucket, 0 as long as there are too few."""
-        count = self._sampler.count
-        if not count:
-            return 0
-        bucket = count + 1
-        end = self._sampler.arrival(0) + _BUCKET_NS
-        if self._sampler.arrival(count - 1) >= end:
-            bucket = max(_BUCKET_SAMPLES, self._sampler.count_before(end) + 1)
-        if not self._settled:
-            bucket = min(bucket, max(_FIRST_SAMPLES, self._tried))
-        return bucket if bucket <= count else 0
-
-    def _map(self, device: Times, times: Times) -> None:
-        if self._host is not None:
-            self._line.map(device, times, self._reached, self._longest_queue)
-        elif len(times):
-            self._line.floor_at(int(times[-1]))
-
     def relearn(self) -> None:
         """Start the estimate over."""
         self.gap()
@@ -313,10 +276,11 @@ class _DeviceClock:
 
     def gap(self) -> None:
         """Doubt what is known: the line stays if the next frames agree with it."""
-        self._sampler.reset()  # they may be too few to tell anything
+        self._timing.drop_samples()  # they may be too few to tell anything
+        self._timing.stop_at(_FIRST_SAMPLES)
         self._middles.clear()
         self._longest_queue = _LONGEST_QUEUE_UNPROVEN_NS
-        self._settled = False
+        self._timing.trust(self._reached, self._longest_queue)
         self._since = None
         self._tried = 0
 
@@ -324,60 +288,81 @@ class _DeviceClock:
         self._points = self._points[:, :0]
         self._frames = 0
         self._host = None
+        self._timing.forget_line()
         self.estimate = None
 
-    def _learn(self, samples: Times) -> None:
-        """Learn from a bucket: rows as of `Sampler.take`."""
-        device, arrivals, _, delays = samples
-        total = len(device)
+    def learn(self) -> None:
+        """Learn from a bucket."""
+        bucket = self._timing.take_samples()
+        total = len(bucket)
+        rows = np.empty((4, total), np.int64)
+        rows[:3] = bucket["device"], bucket["arrival"], bucket["counted"]
+        np.subtract(rows[1], rows[0], out=rows[3])
         self._tried += total
         if self._since is None:
-            self._since = int(arrivals[0])
-        self._settled = int(arrivals[-1]) - self._since >= _BUCKET_NS
+            self._since = int(rows[1, 0])
+        settled = int(rows[1, -1]) - self._since >= _BUCKET_NS
+        self._timing.stop_at(None if settled else max(_FIRST_SAMPLES, self._tried))
+        self._learn(rows)
+        # Also when nothing was learned: the rate may have been.
+        self._timing.trust(self._reached, self._longest_queue)
 
-        usual, low, high = find_ranked(delays, total // 2)
+    def _learn(self, samples: Times) -> None:
+        """Learn from samples.
+
+        Rows of device times, arrivals, how far these were counted back, and arrivals less device
+        times.
+        """
+        total = samples.shape[1]
+        low, usual, high = np.sort(samples[3])[[0, total // 2, -1]].tolist()
         if max(usual - low, high - usual) > _LONGEST_QUEUE_NS:
-            near = np.abs(delays - usual) <= _LONGEST_QUEUE_NS
+            near = np.abs(samples[3] - usual) <= _LONGEST_QUEUE_NS
             samples = np.compress(near, samples, axis=1)
-            device, arrivals, _, delays = samples
-        middle, _, _ = find_ranked(device, len(device) // 2)
-        self._check_rate(device, middle, int(arrivals[len(arrivals) // 2]))
+        device, arrivals, _, _ = samples
+        count = len(device)
+        middle = int(np.sort(device)[count // 2])
+        self._check_rate(device, middle, int(arrivals[count // 2]))
         if self.remark is not None:
             self._forget()
             return
-        if len(device) * 2 < total:
+        if count * 2 < total:
             return  # noise
         device, arrivals, _, delays = self._leave_out_bursts(samples)
 
-        lowest = find_lowest(delays, min(2, total // 4))
-        point = [[device[lowest]], [arrivals[lowest]], [delays[lowest]]]
+        lowest = delays.argsort(kind="stable")[min(2, total // 4)]
         if self._jumped(device[lowest : lowest + 1], arrivals[lowest : lowest + 1], middle):
             # The bucket is not used: frames from before the jump may be in it.
             self._restarts += 1
             self._forget()
             return
+        point = [[device[lowest]], [arrivals[lowest]], [delays[lowest]]]
         self._points = np.concatenate((self._points, point), axis=1)[:, -_WINDOW_POINTS:]
         self._frames += len(device)
         self._reached = middle
         host = self._host = self._fit()
-        self._line.set(self._device, host, self._drift)
-        residuals = delays  # in their place
-        self._line.find_residuals(device, arrivals, residuals)
+        self._timing.set_line(self._device, host, self._drift)
+        residuals = np.sort(self._find_residuals(device, arrivals))
         self.estimate = ClockEstimate(
             offset_ns=host - self._device,
             drift_ppm=-self._drift * 1e6,
-            jitter_ns=max(0, find_ranked(residuals, len(residuals) // 2)[0]),
+            jitter_ns=max(0, int(residuals[len(residuals) // 2])),
             frames=self._frames,
             restarts=self._restarts,
         )
+
+    def _find_residuals(self, device: Times, arrivals: Times) -> Times:
+        """Return how far arrivals lie above the line, in nanoseconds."""
+        assert self._host is not None
+        run = device - self._device
+        host: Times = run + (run * self._drift).astype(np.int64) + self._host
+        return arrivals - host
 
     def _leave_out_bursts(self, samples: Times) -> Times:
         """Return the samples without those that counting back alone has put below the line."""
         if self._points.shape[1] < _KNOWN_POINTS:
             return samples
         device, arrivals, counted, _ = samples
-        residuals = np.empty_like(device)
-        self._line.find_residuals(device, arrivals, residuals)
+        residuals = self._find_residuals(device, arrivals)
         bursts = (residuals < -_BURST_NS) & (residuals + counted >= -_BURST_NS)
         # If these are most, it is the line that is too late.
         few = 0 < np.count_nonzero(bursts) * 2 < len(bursts)
@@ -405,10 +390,9 @@ class _DeviceClock:
         """Tell by a bucket's minimum, as arrays of one, and its middle if the clock jumped."""
         if self._host is None:
             return False
-        residual = np.empty(1, np.int64)
-        self._line.find_residuals(device, arrival, residual)
+        residual = self._find_residuals(device, arrival)[0]
         back = _wrapped(middle - self._reached) < -_TOLERANCE_NS
-        return back or not -_LONGEST_QUEUE_NS <= residual[0] <= self._longest_queue
+        return back or not -_LONGEST_QUEUE_NS <= residual <= self._longest_queue
 
     def _fit(self) -> int:
         """Put the line below the points; return the host's time at the last one."""

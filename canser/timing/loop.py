@@ -1,8 +1,10 @@
 """The loop from the bytes of a line, with arrivals and gaps, to frames with host times."""
 
+from typing import Final
+
 import numpy as np
 
-from canser._core.buffers import BytesLike, FrameRoom, Offsets, Times
+from canser._core.buffers import BytesLike, FrameRoom, Offsets, Times, input_bytes
 from canser._core.table import find_protocol
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser._protocols import tick_ns
@@ -10,6 +12,10 @@ from canser.codec.decoder import Decoder
 from canser.timing.clocks import FrameClock
 
 __all__ = ["TimedDecoder"]
+
+# Of many frames so many are decoded before they get their times: few enough that they are still in
+# the cache.
+_TIMED_AT_ONCE: Final = 16384
 
 
 class TimedDecoder:
@@ -42,7 +48,7 @@ class TimedDecoder:
             device_time=device_time,
             recorded=recorded,
         )
-        self._scratch = np.empty((2, 0), np.int64)
+        self._scratch = np.empty(0, np.int64)
         self.use(np.empty(1, FRAME_DTYPE))
 
     def use(self, frames: FrameArray, offsets: Offsets | None = None, *, kept: int = 0) -> None:
@@ -50,18 +56,30 @@ class TimedDecoder:
 
         `offsets`: int64 or uint64, as long as `frames`: where each frame begins in the stream.
         """
-        if self._scratch.shape[1] < len(frames):
-            self._scratch = np.empty((2, len(frames)), np.int64)
-        begins, ends = self._scratch[:, : len(frames)]
-        if offsets is not None:
-            begins = offsets.view(np.int64)
+        begins = None if offsets is None else offsets.view(np.int64)
+        ends = None
+        # Where the byte is whose time counts.
+        if not self.clock.by_begin:
+            ends = self._use_scratch(len(frames))
+        elif begins is None:
+            begins = self._use_scratch(len(frames))
         self._room = FrameRoom(frames, begins, ends)
         self.restart(kept)
+
+    def _use_scratch(self, count: int) -> Times:
+        if len(self._scratch) < count:
+            self._scratch = np.empty(count, np.int64)
+        return self._scratch[:count]
 
     def restart(self, kept: int = 0) -> None:
         """Put the next frames into the same array, behind `kept` frames that are finished."""
         self._begin = int(self._counters.frames) - kept  # the array's first frame in the stream
-        self.timed = kept  # frames in the array that have their times, the first ones
+        self._room.timed = kept
+
+    @property
+    def timed(self) -> int:
+        """How many frames of the array have their times, the first ones."""
+        return self._room.timed
 
     @property
     def count(self) -> int:
@@ -80,7 +98,16 @@ class TimedDecoder:
 
     def feed(self, data: BytesLike, most: int) -> int:
         """Decode bytes until the array has `most` frames; return how many bytes were used."""
-        return self.decoder.feed_room(data, self._room, self.count, most)
+        source, room = input_bytes(data), self._room
+        size = len(source)
+        feed_room, used = self.decoder.feed_room, 0
+        while True:
+            count = self.count
+            limit = min(room.timed + _TIMED_AT_ONCE, most)
+            used += feed_room(source + used, size - used, room, count, limit)
+            if used == size or limit == most:
+                return used
+            self.assign_times()
 
     def flush(self, most: int) -> None:
         """End the packet that is held, and decode the rest of its bytes until there are `most`.
@@ -96,12 +123,4 @@ class TimedDecoder:
 
     def assign_times(self) -> None:
         """Give the frames that have none their times."""
-        room, new = self._room, slice(self.timed, self.count)
-        at: Times
-        if self.clock.by_begin:
-            at = room.offsets[new]
-        else:
-            at = room.ends[new]
-            at -= 1  # the last byte of each
-        self.timed = new.stop
-        self.clock.assign_times(room.frames[new], at, self.border)
+        self.clock.assign_times(self._room, self.count, self.border)

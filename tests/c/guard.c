@@ -442,7 +442,7 @@ static bool decode_chunk(canser_chunk *chunk, canser_batch *batch, const uint8_t
     *batch = (canser_batch){.frames = frames,
                             .frame_cap = frame_cap,
                             .offsets = driven.no_offsets ? NULL : offsets,
-                            .ends = driven.no_offsets || driven.no_ends ? NULL : ends,
+                            .ends = driven.no_ends ? NULL : ends,
                             .controls = driven.no_controls ? NULL : controls,
                             .control_cap = control_cap,
                             .frame_count = SIZE_MAX,
@@ -975,8 +975,6 @@ static void test_batch_arguments(bench *b)
 {
     b->batch.frames = NULL;
     check_batch_refused(b, CANSER_NULL, "frames NULL");
-    b->batch.offsets = NULL;
-    check_batch_refused(b, CANSER_NULL, "ends without offsets");
 
     b->batch.frames = behind(b->memory.frames, 1);
     b->batch.frame_cap = 2;
@@ -1462,50 +1460,26 @@ static void test_tables(void)
           "there is a kind of control packets past the last");
 }
 
-/* Times: a call has values of its own in memory against guard pages, more of them than are
- * told apart in one go. */
-enum { TIMES_MAX = 2200, TIMES_ARRAYS = 5, SAMPLE_WORDS = sizeof(canser_sample) / sizeof(int64_t) };
+/* Times: a call has values of its own in memory against guard pages. */
+enum { TIMES_MAX = 2200, TIMES_ARRAYS = 3 };
 
 static arena times_arenas[TIMES_ARRAYS];
 
-static int64_t *place_times(int array, const int64_t *values, size_t count)
+static void *place_times(int array, const void *values, size_t size)
 {
-    int64_t *const p = (int64_t *)(void *)put(&times_arenas[array], count * sizeof *p, 0, 0x5A);
+    uint8_t *const p = put(&times_arenas[array], size, 0, 0x5A);
 
-    if (count && values)
-        memcpy(p, values, count * sizeof *p);
+    if (size && values)
+        memcpy(p, values, size);
     return p;
 }
 
-/* Whether the memory around an array is as it was, and the array too. */
-static void check_times(int array, const int64_t *p, const int64_t *values, size_t count)
+/* Whether the memory around an array is as it was, and the array as it must be. */
+static void check_times(int array, const void *p, const void *values, size_t size)
 {
-    const void *const bytes = p;
-
-    check(is_clean_around(&times_arenas[array], bytes, count * sizeof *p, 0x5A),
+    check(is_clean_around(&times_arenas[array], p, size, 0x5A),
           "memory around an array was written");
-    check(!count || memcmp(p, values, count * sizeof *p) == 0, "the times differ");
-}
-
-/* A time as they come, or any. */
-static int64_t random_time(int kind)
-{
-    static const int64_t edges[] = {INT64_MIN, INT64_MIN + 1, -1, 0, 1, INT64_MAX - 1, INT64_MAX};
-    const int64_t epoch = INT64_C(1790000000000000000);
-
-    switch (kind) {
-    case 0:
-        return epoch + (int64_t)random_below(1 << 24);
-    case 1:
-        return (int64_t)random_below(4);
-    case 2:
-        return epoch + (int64_t)(random_word() >> random_below(50));
-    case 3:
-        return edges[random_below(sizeof edges / sizeof *edges)];
-    default:
-        return random_below(50) ? epoch + (int64_t)random_below(1 << 20)
-                                : (int64_t)(random_word() << 8 ^ random_word());
-    }
+    check(!size || memcmp(p, values, size) == 0, "the times differ");
 }
 
 static int64_t wrap(uint64_t value)
@@ -1518,204 +1492,82 @@ static int64_t less(int64_t a, int64_t b)
     return wrap((uint64_t)a - (uint64_t)b);
 }
 
-static int compare_times(const void *a, const void *b)
-{
-    const int64_t *const x = a, *const y = b;
-    return (*x > *y) - (*x < *y);
-}
-
-static void check_ranks(const int64_t *values, size_t count)
-{
-    static int64_t sorted[TIMES_MAX];
-    const int64_t *const p = place_times(0, values, count);
-    canser_ranked ranked;
-    size_t index, before = 0;
-
-    memcpy(sorted, values, count * sizeof *values);
-    qsort(sorted, count, sizeof *sorted, compare_times);
-    for (int i = 0; i < 4; i++) {
-        const size_t rank = i < 2 ? (size_t)i * (count - 1) : random_below(count);
-        check(canser_times_rank(p, count, rank, &ranked) == CANSER_OK, "another status");
-        check(ranked.value == sorted[rank] && ranked.low == sorted[0] &&
-                  ranked.high == sorted[count - 1],
-              "another rank");
-    }
-    for (size_t rank = 0; rank < CANSER_LOWEST_MAX && rank < count; rank++) {
-        check(canser_times_lowest(p, count, rank, &index) == CANSER_OK, "another status");
-        check(index < count && values[index] == sorted[rank], "another one is the lowest");
-        for (size_t i = before = 0; i < count; i++)
-            before += values[i] < values[index] || (values[i] == values[index] && i < index);
-        check(before == rank, "equal ones do not come in order");
-    }
-    check_times(0, p, values, count);
-}
-
-static void check_mapped(const int64_t *device, const int64_t *arrivals, size_t count)
-{
-    static int64_t heights[TIMES_MAX], times[TIMES_MAX];
-    const canser_line line = {random_time(now.kind), random_time(now.kind),
-                              random_below(3) ? (double)random_below(2001) / 1e6 - 1e-3 : -0.999};
-    const canser_trust trust = {random_below(2) ? line.device : INT64_MIN,
-                                (int64_t)random_below(1 << 22), (int64_t)random_below(1 << 23)};
-    int64_t latest = random_below(2) ? -((int64_t)1 << 62) : random_time(now.kind), held = latest;
-
-    for (size_t i = 0; i < count; i++) {
-        const int64_t run = less(device[i], line.device);
-        const int64_t drifted = (int64_t)((double)run * line.drift);
-        const int64_t time = wrap((uint64_t)run + (uint64_t)drifted + (uint64_t)line.host);
-
-        heights[i] = less(arrivals[i], time);
-        times[i] = arrivals[i];
-        if (heights[i] >= -trust.early && heights[i] <= trust.late &&
-            less(device[i], trust.reached) >= -trust.early) {
-            const int64_t possible = time < arrivals[i] ? time : arrivals[i];
-            held = possible > held ? possible : held;
-            times[i] = held;
-        }
-    }
-    const int64_t *const d = place_times(0, device, count);
-    const int64_t *const a = place_times(1, arrivals, count);
-    int64_t *const out = place_times(2, arrivals, count);
-    check(canser_times_map(&line, &trust, d, count, out, &latest) == CANSER_OK, "another status");
-    check(latest == held, "latest differs");
-    check_times(2, out, times, count);
-    check(canser_times_heights(&line, d, a, count, out) == CANSER_OK, "another status");
-    check_times(0, d, device, count);
-    check_times(1, a, arrivals, count);
-    check_times(2, out, heights, count);
-}
-
 /* Pieces and, apart by 1 to 40, offsets: some of them lie behind all pieces. */
-static void make_pieces(int64_t *pieces, size_t piece_count, int64_t *at, size_t count)
+static void make_pieces(canser_piece *pieces, size_t piece_count, int64_t *at, size_t count)
 {
     int64_t end = 0, ns = -1000, offset = (int64_t)random_below(3);
 
     for (size_t i = 0; i < piece_count; i++) {
-        pieces[2 * i] = end += (int64_t)random_below(64);
-        pieces[2 * i + 1] = ns += (int64_t)random_below(1 << 20);
+        pieces[i].end = end += (int64_t)random_below(64);
+        pieces[i].ns = ns += (int64_t)random_below(1 << 20);
     }
     for (size_t i = 0; i < count; i++)
         offset = 1 + (at[i] = offset + (int64_t)random_below(40));
 }
 
 /* The piece that the byte at an offset came with. */
-static size_t piece_of(const int64_t *pieces, size_t piece_count, int64_t at)
+static size_t piece_of(const canser_piece *pieces, size_t piece_count, int64_t at)
 {
     size_t k = 0;
 
-    while (k < piece_count - 1 && pieces[2 * k] <= at)
+    while (k < piece_count - 1 && pieces[k].end <= at)
         k++;
     return k;
 }
 
-static const canser_piece *as_pieces(const int64_t *p)
+static int64_t plain_arrival(const canser_piece *pieces, size_t piece_count, double byte_ns,
+                             int64_t at)
 {
-    return (const canser_piece *)(const void *)p;
+    const size_t k = piece_of(pieces, piece_count, at);
+    const int64_t more = pieces[k].end > at ? pieces[k].end - at - 1 : 0;
+    const int64_t arrival = pieces[k].ns - (int64_t)((double)more * byte_ns);
+
+    return k && arrival < pieces[k - 1].ns ? pieces[k - 1].ns : arrival;
 }
 
-static void check_arrivals(size_t piece_count, size_t count)
+/* The time nearest to `expected` at which a counter shows what it does at `counter`. */
+static int64_t plain_turn(int64_t counter, int64_t expected, int64_t turn_ns)
 {
-    static const double byte_ns[] = {0, 86805.5, 1e300};
-    static int64_t pieces[2 * TIMES_MAX], at[TIMES_MAX], times[TIMES_MAX];
-    const double each = byte_ns[random_below(3)];
+    int64_t rest = (expected - counter) % turn_ns;
 
-    make_pieces(pieces, piece_count, at, count);
-    for (size_t i = 0; i < count; i++) {
-        const size_t k = piece_of(pieces, piece_count, at[i]);
-        const int64_t more = pieces[2 * k] > at[i] ? pieces[2 * k] - at[i] - 1 : 0;
-        const double early = (double)more * each;
-
-        times[i] = less(pieces[2 * k + 1], early < 9e18 ? (int64_t)early : INT64_MAX);
-        if (k && times[i] < pieces[2 * k - 1])
-            times[i] = pieces[2 * k - 1];
-    }
-    const int64_t *const p = place_times(0, pieces, 2 * piece_count);
-    const int64_t *const o = place_times(1, at, count);
-    int64_t *const out = place_times(2, at, count);
-    check(canser_times_arrivals(as_pieces(p), piece_count, each, o, count, out) == CANSER_OK,
-          "another status");
-    check_times(0, p, pieces, 2 * piece_count);
-    check_times(1, o, at, count);
-    check_times(2, out, times, count);
+    rest += rest < 0 ? turn_ns : 0;
+    return expected - rest + (rest > turn_ns / 2 ? turn_ns : 0);
 }
 
-/* What is `expected` but for whole turns of 2^32, and ends as `ticks` does. */
-static uint64_t turn_near(uint64_t ticks, uint64_t expected)
+static bool plain_near(int64_t a, int64_t b, int64_t tick_ns)
 {
-    const uint64_t turn = UINT64_C(1) << 32;
-    uint64_t near = expected / turn * turn + ticks % turn;
-
-    if (near - expected < UINT64_C(1) << 63 && near - expected >= turn / 2)
-        near -= turn;
-    else if (near - expected >= UINT64_C(1) << 63 && expected - near > turn / 2)
-        near += turn;
-    return near;
+    return (a > b ? a - b : b - a) <= tick_ns << 24;
 }
 
-static uint64_t plain_ticks(int64_t ns, double per_tick)
+/* Device times by arrivals: the last frame that was near those before it tells the turn, or 16 in
+ * a row that are near each other. */
+static void plain_turns(const int64_t *counters, const int64_t *arrivals, size_t count,
+                        int64_t tick_ns, int64_t *device)
 {
-    const double ticks = (double)ns * per_tick;
-    return ticks >= 9223372036854775808.0 ? INT64_MAX : (uint64_t)(int64_t)ticks;
-}
-
-static bool within_step(uint64_t a, uint64_t b)
-{
-    return a - b <= UINT64_C(1) << 24 || b - a <= UINT64_C(1) << 24;
-}
-
-/* Turns of a counter by the host's clock: the last frame that was near those before it tells the
- * turn, or 16 in a row that are near each other. */
-static void check_turns(const int64_t *arrivals, size_t count)
-{
-    static const int64_t units[] = {1, 7, 1000, 1000000, 1000000000, 1 << 20};
-    static int64_t given[TIMES_MAX], times[TIMES_MAX];
-    const int64_t tick_ns = units[random_below(6)];
-    const double per_tick = 1.0 / (double)tick_ns;
-    canser_reading known = {0, 0}, last = {0, 0};
+    const int64_t turn_ns = tick_ns << 32;
+    int64_t known = 0, last = 0;
     int run = 0;
 
     for (size_t i = 0; i < count; i++) {
-        const int64_t host = arrivals[i];
-        /* What the host's clock says, or near it, or false, and any turn. */
-        const uint64_t drawn = random_below(4) ? (uint64_t)(host / tick_ns) + (random_word() & 3)
-                                               : random_word() >> random_below(40);
-        const uint64_t ticks = drawn + ((random_word() & 3) << 32);
-        uint64_t expected = known.ticks, follows = last.ticks, found;
+        const int64_t expected = arrivals[i] - known, follows = arrivals[i] - last;
 
-        given[i] = wrap(ticks * (uint64_t)tick_ns);
-        expected += plain_ticks(less(host, known.host), per_tick);
-        follows += plain_ticks(less(host, last.host), per_tick);
-        found = turn_near(ticks, expected);
-        if (!i) {
-            found = ticks % (UINT64_C(1) << 32);
-            known = (canser_reading){found, host};
-        } else if (within_step(found, expected)) {
-            known = (canser_reading){found, host};
+        device[i] = i ? plain_turn(counters[i], expected, turn_ns) : counters[i];
+        if (!i || plain_near(device[i], expected, tick_ns)) {
+            known = arrivals[i] - device[i];
             run = 0;
-        } else {
-            const uint64_t next = turn_near(ticks, follows);
-            const bool goes_on = run && within_step(next, follows);
-
-            found = goes_on ? next : found;
-            run = goes_on ? run + 1 : 1;
-            last = (canser_reading){found, host};
-            if (run == 16) {
-                known = last;
-                run = 0;
-            }
+            continue;
         }
-        times[i] = wrap(found * (uint64_t)tick_ns);
+        const int64_t next = plain_turn(counters[i], follows, turn_ns);
+        const bool goes_on = run && plain_near(next, follows, tick_ns);
+
+        device[i] = goes_on ? next : device[i];
+        run = goes_on ? run + 1 : 1;
+        last = arrivals[i] - device[i];
+        if (run == 16) {
+            known = last;
+            run = 0;
+        }
     }
-    /* In two calls. */
-    const int64_t *const a = place_times(0, arrivals, count);
-    int64_t *const out = place_times(1, given, count);
-    const size_t cut = random_below(count + 1);
-    canser_turns turns = {0};
-    check(canser_times_turns(&turns, tick_ns, a, cut, out) == CANSER_OK &&
-              canser_times_turns(&turns, tick_ns, a + cut, count - cut, out + cut) == CANSER_OK,
-          "another status");
-    check_times(0, a, arrivals, count);
-    check_times(1, out, times, count);
 }
 
 /* The lowest of a piece, but for two at most that are lower than the next one by over a minute. */
@@ -1746,224 +1598,224 @@ static canser_sample plain_sample(const int64_t *device, const int64_t *arrivals
         chosen++;
     }
     const size_t i = sorted[chosen];
-    return (canser_sample){device[i], arrivals[i], less(arrivals[end - 1], arrivals[i]),
-                           (int64_t)end};
+    return (canser_sample){device[i], arrivals[i], less(arrivals[end - 1], arrivals[i])};
 }
 
-static void check_samples(const int64_t *device, const int64_t *arrivals, size_t piece_count,
-                          size_t count)
+static size_t plain_samples(const canser_piece *pieces, size_t piece_count, const int64_t *at,
+                            const int64_t *device, const int64_t *arrivals, size_t count,
+                            canser_sample *samples)
 {
-    static int64_t pieces[2 * TIMES_MAX], at[TIMES_MAX];
-    static canser_sample expected[TIMES_MAX];
-    const size_t cut = random_below(count + 1);
-    size_t found = 0, begin = 0, first = SIZE_MAX, second = SIZE_MAX;
+    size_t found = 0, begin = 0;
 
-    make_pieces(pieces, piece_count, at, count);
     for (size_t i = 1; i < count; i++) {
         /* By the end: a piece of no bytes is none. */
-        if (pieces[2 * piece_of(pieces, piece_count, at[i])] ==
-            pieces[2 * piece_of(pieces, piece_count, at[i - 1])])
+        if (pieces[piece_of(pieces, piece_count, at[i])].end ==
+            pieces[piece_of(pieces, piece_count, at[i - 1])].end)
             continue;
-        expected[found] = plain_sample(device, arrivals, begin, i);
-        expected[found].index -= i < cut ? 0 : (int64_t)cut;
-        found++;
+        samples[found++] = plain_sample(device, arrivals, begin, i);
         begin = i;
     }
-    const int64_t *const p = place_times(0, pieces, 2 * piece_count);
-    const int64_t *const o = place_times(1, at, count);
-    const int64_t *const d = place_times(2, device, count);
-    const int64_t *const a = place_times(3, arrivals, count);
-    int64_t *const out = place_times(4, NULL, SAMPLE_WORDS * count);
-    canser_sample *const samples = (canser_sample *)(void *)out;
-    canser_sampler sampler = {0};
-    /* In two calls. */
-    check(canser_times_sample(&sampler, as_pieces(p), piece_count, o, cut, d, a, samples, &first) ==
-                  CANSER_OK &&
-              first <= found &&
-              canser_times_sample(&sampler, as_pieces(p), piece_count, o + cut, count - cut,
-                                  d + cut, a + cut, samples + first, &second) == CANSER_OK,
-          "another status");
-    check(first + second == found, "the number of samples differs");
-    check_times(0, p, pieces, 2 * piece_count);
-    check_times(1, o, at, count);
-    check_times(2, d, device, count);
-    check_times(3, a, arrivals, count);
-    check(found > count || memcmp(samples, expected, found * sizeof *samples) == 0,
-          "the samples differ");
-    check(is_clean_around(&times_arenas[4], (uint8_t *)samples, found * sizeof *samples, 0x5A),
-          "memory around the samples was written");
+    return found;
+}
+
+static void plain_map(const canser_timing *timing, const int64_t *device, const int64_t *arrivals,
+                      size_t count, canser_frame *frames)
+{
+    const canser_line line = timing->line;
+    const canser_trust trust = timing->trust;
+    int64_t held = 0;
+
+    for (size_t i = 0; i < count; i++) {
+        const int64_t run = less(device[i], line.device);
+        const int64_t drifted = (int64_t)((double)run * line.drift);
+        const int64_t time = wrap((uint64_t)run + (uint64_t)drifted + (uint64_t)line.host);
+        const int64_t late = less(arrivals[i], time);
+
+        frames[i].ts = arrivals[i];
+        if (late < -trust.early || late > trust.late ||
+            less(device[i], trust.reached) < -trust.early)
+            continue;
+        const int64_t possible = time < arrivals[i] ? time : arrivals[i];
+        held = possible > held ? possible : held;
+        frames[i].ts = held;
+    }
+}
+
+/* Frames get their times in two calls, and with as little room for samples as there may be. */
+static void check_timing(const canser_timing *setup, size_t piece_count, size_t count)
+{
+    static canser_piece pieces[TIMES_MAX];
+    static canser_frame frames[TIMES_MAX], expected[TIMES_MAX];
+    static canser_sample samples[TIMES_MAX], got[TIMES_MAX];
+    static int64_t at[TIMES_MAX], arrivals[TIMES_MAX], counters[TIMES_MAX], device[TIMES_MAX];
+    const int64_t tick_ns = setup->tick_ns;
+    canser_timing timing = *setup;
+    size_t done = 0, found = 0;
+
+    make_pieces(pieces, piece_count, at, count);
+    memset(frames, 0x5A, sizeof frames);
+    for (size_t i = 0; i < count; i++) {
+        /* What the host's clock says, or near it, or false, and any turn. */
+        const int64_t byte = at[i] - !tick_ns;
+
+        arrivals[i] = plain_arrival(pieces, piece_count, setup->byte_ns, byte);
+        if (!tick_ns)
+            continue;
+        const uint64_t drawn = random_below(4)
+                                   ? (uint64_t)(arrivals[i] / tick_ns) + (random_word() & 3)
+                                   : random_word() >> (21 + random_below(20));
+        const uint64_t ticks = drawn + ((random_word() & 3) << 32);
+        counters[i] = (int64_t)(ticks & UINT32_MAX) * tick_ns;
+        frames[i].ts = wrap(ticks * (uint64_t)tick_ns);
+    }
+    memcpy(expected, frames, sizeof expected);
+    if (tick_ns) {
+        plain_turns(counters, arrivals, count, tick_ns, device);
+        if (!setup->keeps_device)
+            found = plain_samples(pieces, piece_count, at, device, arrivals, count, samples);
+    }
+    if (tick_ns && setup->has_line && !setup->keeps_device)
+        plain_map(setup, device, arrivals, count, expected);
+    else
+        for (size_t i = 0; i < count; i++)
+            expected[i].ts = tick_ns && setup->keeps_device ? device[i] : arrivals[i];
+
+    const canser_piece *const p = place_times(0, pieces, piece_count * sizeof *p);
+    const int64_t *const o = place_times(1, at, count * sizeof *o);
+    canser_frame *const f = place_times(2, frames, count * sizeof *f);
+    canser_sample one;
+    const size_t cut = random_below(count + 1);
+    size_t taken = 0;
+    timing.samples = &one;
+    timing.sample_cap = 0;
+    for (int half = 0; half < 2; half++) {
+        const size_t until = half ? count : cut;
+
+        check(canser_timing_assign(&timing, p, piece_count, o, f, until, &done) == CANSER_OK,
+              "another status");
+        while (timing.stopped == CANSER_TIMING_FULL) {
+            check(done < until && timing.sample_count == timing.sample_cap, "full too early");
+            if (timing.sample_count)
+                got[taken++] = one;
+            timing.sample_count = 0;
+            timing.sample_cap = 1;
+            check(canser_timing_assign(&timing, p, piece_count, o, f, until, &done) == CANSER_OK,
+                  "another status");
+        }
+        check(timing.stopped == CANSER_TIMING_DONE && done == until, "not all have their times");
+    }
+    if (timing.sample_count)
+        got[taken++] = one;
+    check(taken == found && memcmp(got, samples, found * sizeof *got) == 0, "the samples differ");
+    check_times(0, p, pieces, piece_count * sizeof *p);
+    check_times(1, o, at, count * sizeof *o);
+    check_times(2, f, expected, count * sizeof *f);
 }
 
 static void test_times(void)
 {
-    static int64_t values[2][TIMES_MAX];
+    static const int64_t units[] = {0, 1, 7, 1000, 1000000, 1000000000, 1 << 20};
+    static const double byte_ns[] = {0, 86805.5, CANSER_BYTE_NS_MAX};
 
     now.part = "times";
     now.protocol = 0;
     for (int i = 0; i < TIMES_ARRAYS; i++)
-        times_arenas[i] = arena_new(SAMPLE_WORDS * TIMES_MAX * sizeof(int64_t));
-    for (size_t round = 0; round < 600; round++) {
+        times_arenas[i] = arena_new(TIMES_MAX * sizeof(canser_frame));
+    for (size_t round = 0; round < 3000; round++) {
         const size_t count = round < 60 ? round : random_below(random_below(8) ? 60 : TIMES_MAX);
+        const int64_t line_at = (int64_t)random_below(1 << 24);
+        const canser_timing setup = {
+            .tick_ns = units[random_below(7)],
+            .keeps_device = random_below(3) == 0,
+            .silence_ns = INT64_MAX,
+            .bucket_ns = INT64_MAX,
+            .bucket_most = SIZE_MAX,
+            .byte_ns = byte_ns[random_below(3)],
+            .line = {line_at, line_at + (int64_t)random_below(1 << 24) - (1 << 23),
+                     random_below(3) ? (double)random_below(2001) / 1e6 - 1e-3 : -0.999},
+            .has_line = random_below(4) != 0,
+            .trust = {line_at - (random_below(2) ? 0 : INT64_C(1) << 40),
+                      (int64_t)random_below(1 << 22), (int64_t)random_below(1 << 24)},
+        };
 
         now.kind = (int)(round % 5);
         now.at_end = round % 2;
         now.len = count;
-        for (size_t i = 0; i < count; i++) {
-            values[0][i] = random_time(now.kind);
-            values[1][i] = random_below(2) ? random_time(now.kind)
-                                           : wrap((uint64_t)values[0][i] + random_below(1 << 24));
-        }
-        check_mapped(values[0], values[1], count);
-        check_arrivals(1 + random_below(60), count);
-        check_turns(values[1], count);
-        check_samples(values[0], values[1], 1 + random_below(60), count);
-        if (!count)
-            continue;
-        check_ranks(values[0], count);
-        qsort(values[0], count, sizeof **values, compare_times);
-        check_ranks(values[0], count);
+        check_timing(&setup, 1 + random_below(60), count);
     }
 }
 
 static void test_times_arguments(void)
 {
-    const canser_line line = {0, 0, 0.5}, wild = {0, 0, 1}, odd = {0, 0, NAN};
-    const canser_trust trust = {0, 1, 1}, bad = {0, -1, 1};
     const canser_piece pieces[2] = {{0, 0}, {9, 9}};
-    const int64_t in[4] = {5, 6, 7, 8};
-    int64_t memory[4], latest = 3;
-    int64_t *const out = memory, *const off = behind(memory, 1);
-    const int64_t *const in_off = (const int64_t *)(const void *)((const uint8_t *)in + 1);
-    canser_sample sample_memory[2];
-    canser_sample *const room = sample_memory, *const room_off = behind(sample_memory, 1);
-    canser_turns turns = {0};
-    canser_sampler sampler = {0};
-    canser_ranked ranked;
-    size_t index, found = 1;
+    const canser_piece *const pieces_off = behind((void *)(uintptr_t)pieces, 1);
+    const int64_t at[4] = {5, 6, 7, 8};
+    const int64_t *const at_off = (const int64_t *)(const void *)((const uint8_t *)at + 1);
+    canser_frame memory[4];
+    canser_sample samples[2];
+    canser_timing good = {.tick_ns = 1, .samples = samples, .sample_cap = 2};
+    canser_timing setups[11];
+    size_t done = 1;
 
     memset(memory, 0x5A, sizeof memory);
-    memset(sample_memory, 0x5A, sizeof sample_memory);
+    memset(samples, 0x5A, sizeof samples);
+    for (size_t i = 0; i < sizeof setups / sizeof *setups; i++)
+        setups[i] = good;
+    setups[0].samples = NULL;
+    setups[1].samples = behind(samples, 1);
+    setups[2].tick_ns = -1;
+    setups[3].tick_ns = INT64_C(1) << 31;
+    setups[4].byte_ns = -1;
+    setups[5].byte_ns = NAN;
+    setups[6].byte_ns = 2e9 + 1;
+    setups[7].line.drift = 1;
+    setups[8].line.drift = NAN;
+    setups[9].trust.early = -1;
+    setups[10].trust.late = -1;
     const struct {
         const char *what;
-        int status, expected;
+        canser_timing *self;
+        const canser_piece *pieces;
+        size_t piece_count;
+        const int64_t *at;
+        canser_frame *frames;
+        size_t count;
+        size_t *done;
+        int expected;
     } calls[] = {
-        {"pieces NULL", canser_times_arrivals(NULL, 2, 1, in, 2, out), CANSER_NULL},
-        {"no pieces", canser_times_arrivals(pieces, 0, 1, in, 2, out), CANSER_NULL},
-        {"offsets NULL", canser_times_arrivals(pieces, 2, 1, NULL, 2, out), CANSER_NULL},
-        {"arrivals NULL", canser_times_arrivals(pieces, 2, 1, in, 2, NULL), CANSER_NULL},
-        {"no frames", canser_times_arrivals(pieces, 2, 1, NULL, 0, NULL), CANSER_OK},
-        {"pieces", canser_times_arrivals(behind((void *)(uintptr_t)pieces, 1), 1, 1, in, 1, out),
-         CANSER_MISALIGNED},
-        {"offsets", canser_times_arrivals(pieces, 2, 1, in_off, 2, out), CANSER_MISALIGNED},
-        {"arrivals", canser_times_arrivals(pieces, 2, 1, in, 2, off), CANSER_MISALIGNED},
-        {"byte_ns", canser_times_arrivals(pieces, 2, -1, in, 2, out), CANSER_RANGE},
-        {"byte_ns", canser_times_arrivals(pieces, 2, NAN, in, 2, out), CANSER_RANGE},
-        {"turns NULL", canser_times_turns(NULL, 1, in, 4, out), CANSER_NULL},
-        {"arrivals NULL", canser_times_turns(&turns, 1, NULL, 4, out), CANSER_NULL},
-        {"times NULL", canser_times_turns(&turns, 1, in, 4, NULL), CANSER_NULL},
-        {"no times", canser_times_turns(&turns, 1, NULL, 0, NULL), CANSER_OK},
-        {"arrivals", canser_times_turns(&turns, 1, in_off, 3, out), CANSER_MISALIGNED},
-        {"times", canser_times_turns(&turns, 1, in, 3, off), CANSER_MISALIGNED},
-        {"tick", canser_times_turns(&turns, 0, in, 4, out), CANSER_TICK},
-        {"tick", canser_times_turns(&turns, INT64_MIN, in, 4, out), CANSER_TICK},
-        {"count NULL", canser_times_sample(&sampler, pieces, 2, in, 2, in, in, room, NULL),
-         CANSER_NULL},
-        {"line NULL", canser_times_heights(NULL, in, in, 4, out), CANSER_NULL},
-        {"device NULL", canser_times_heights(&line, NULL, in, 4, out), CANSER_NULL},
-        {"arrivals NULL", canser_times_heights(&line, in, NULL, 4, out), CANSER_NULL},
-        {"heights NULL", canser_times_heights(&line, in, in, 4, NULL), CANSER_NULL},
-        {"no heights", canser_times_heights(&line, NULL, NULL, 0, NULL), CANSER_OK},
-        {"device", canser_times_heights(&line, in_off, in, 3, out), CANSER_MISALIGNED},
-        {"arrivals", canser_times_heights(&line, in, in_off, 3, out), CANSER_MISALIGNED},
-        {"heights", canser_times_heights(&line, in, in, 3, off), CANSER_MISALIGNED},
-        {"drift", canser_times_heights(&wild, in, in, 4, out), CANSER_RANGE},
-        {"drift", canser_times_heights(&odd, in, in, 4, out), CANSER_RANGE},
-        {"line NULL", canser_times_map(NULL, &trust, in, 4, out, &latest), CANSER_NULL},
-        {"trust NULL", canser_times_map(&line, NULL, in, 4, out, &latest), CANSER_NULL},
-        {"device NULL", canser_times_map(&line, &trust, NULL, 4, out, &latest), CANSER_NULL},
-        {"times NULL", canser_times_map(&line, &trust, in, 4, NULL, &latest), CANSER_NULL},
-        {"latest NULL", canser_times_map(&line, &trust, in, 4, out, NULL), CANSER_NULL},
-        {"no times", canser_times_map(&line, &trust, NULL, 0, NULL, &latest), CANSER_OK},
-        {"device", canser_times_map(&line, &trust, in_off, 3, out, &latest), CANSER_MISALIGNED},
-        {"times", canser_times_map(&line, &trust, in, 3, off, &latest), CANSER_MISALIGNED},
-        {"drift", canser_times_map(&wild, &trust, in, 4, out, &latest), CANSER_RANGE},
-        {"early", canser_times_map(&line, &bad, in, 4, out, &latest), CANSER_RANGE},
-        {"ranked NULL", canser_times_rank(in, 4, 0, NULL), CANSER_NULL},
-        {"index NULL", canser_times_lowest(in, 4, 0, NULL), CANSER_NULL},
+        {"self NULL", NULL, pieces, 2, at, memory, 4, &done, CANSER_NULL},
+        {"pieces NULL", &good, NULL, 2, at, memory, 4, &done, CANSER_NULL},
+        {"no pieces", &good, pieces, 0, at, memory, 4, &done, CANSER_NULL},
+        {"offsets NULL", &good, pieces, 2, NULL, memory, 4, &done, CANSER_NULL},
+        {"frames NULL", &good, pieces, 2, at, NULL, 4, &done, CANSER_NULL},
+        {"done NULL", &good, pieces, 2, at, memory, 4, NULL, CANSER_NULL},
+        {"no frames", &good, pieces, 2, NULL, NULL, 1, &done, CANSER_OK},
+        {"pieces", &good, pieces_off, 1, at, memory, 4, &done, CANSER_MISALIGNED},
+        {"offsets", &good, pieces, 2, at_off, memory, 3, &done, CANSER_MISALIGNED},
+        {"frames", &good, pieces, 2, at, behind(memory, 1), 3, &done, CANSER_MISALIGNED},
+        {"samples NULL", &setups[0], pieces, 2, at, memory, 4, &done, CANSER_NULL},
+        {"samples", &setups[1], pieces, 2, at, memory, 4, &done, CANSER_MISALIGNED},
+        {"tick", &setups[2], pieces, 2, at, memory, 4, &done, CANSER_TICK},
+        {"tick", &setups[3], pieces, 2, at, memory, 4, &done, CANSER_TICK},
+        {"byte_ns", &setups[4], pieces, 2, at, memory, 4, &done, CANSER_RANGE},
+        {"byte_ns", &setups[5], pieces, 2, at, memory, 4, &done, CANSER_RANGE},
+        {"byte_ns", &setups[6], pieces, 2, at, memory, 4, &done, CANSER_RANGE},
+        {"drift", &setups[7], pieces, 2, at, memory, 4, &done, CANSER_RANGE},
+        {"drift", &setups[8], pieces, 2, at, memory, 4, &done, CANSER_RANGE},
+        {"early", &setups[9], pieces, 2, at, memory, 4, &done, CANSER_RANGE},
+        {"late", &setups[10], pieces, 2, at, memory, 4, &done, CANSER_RANGE},
     };
     for (size_t i = 0; i < sizeof calls / sizeof *calls; i++) {
         now.part = calls[i].what;
-        check(calls[i].status == calls[i].expected, "another status");
+        check(canser_timing_assign(calls[i].self, calls[i].pieces, calls[i].piece_count,
+                                   calls[i].at, calls[i].frames, calls[i].count,
+                                   calls[i].done) == calls[i].expected,
+              "another status");
     }
     now.part = "times: what is left";
-    check(is_filled((const uint8_t *)memory, (const uint8_t *)(memory + 4), 0x5A) && latest == 3,
+    check(done == 1 && is_filled((const uint8_t *)memory, (const uint8_t *)(memory + 4), 0x5A) &&
+              is_filled((const uint8_t *)samples, (const uint8_t *)(samples + 2), 0x5A),
           "something was written");
-    check(is_zero(&turns, sizeof turns), "the turns have changed");
-
-    const struct {
-        canser_sampler *self;
-        const canser_piece *pieces;
-        size_t piece_count;
-        const int64_t *at, *device, *arrivals;
-        size_t count;
-        canser_sample *samples;
-        int expected;
-    } samplings[] = {
-        {NULL, pieces, 2, in, in, in, 2, room, CANSER_NULL},
-        {&sampler, NULL, 2, in, in, in, 2, room, CANSER_NULL},
-        {&sampler, pieces, 0, in, in, in, 2, room, CANSER_NULL},
-        {&sampler, pieces, 2, NULL, in, in, 2, room, CANSER_NULL},
-        {&sampler, pieces, 2, in, NULL, in, 2, room, CANSER_NULL},
-        {&sampler, pieces, 2, in, in, NULL, 2, room, CANSER_NULL},
-        {&sampler, pieces, 2, in, in, in, 2, NULL, CANSER_NULL},
-        {&sampler, pieces, 2, NULL, NULL, NULL, 0, NULL, CANSER_OK},
-        {&sampler, behind((void *)(uintptr_t)pieces, 1), 1, in, in, in, 2, room, CANSER_MISALIGNED},
-        {&sampler, pieces, 2, in_off, in, in, 2, room, CANSER_MISALIGNED},
-        {&sampler, pieces, 2, in, in_off, in, 2, room, CANSER_MISALIGNED},
-        {&sampler, pieces, 2, in, in, in_off, 2, room, CANSER_MISALIGNED},
-        {&sampler, pieces, 2, in, in, in, 1, room_off, CANSER_MISALIGNED},
-    };
-    for (size_t i = 0; i < sizeof samplings / sizeof *samplings; i++) {
-        now.part = "samples";
-        now.len = i;
-        found = 1;
-        check(canser_times_sample(samplings[i].self, samplings[i].pieces, samplings[i].piece_count,
-                                  samplings[i].at, samplings[i].count, samplings[i].device,
-                                  samplings[i].arrivals, samplings[i].samples,
-                                  &found) == samplings[i].expected &&
-                  found == 0,
-              "sample");
-    }
-    check(is_zero(&sampler, sizeof sampler) &&
-              is_filled((const uint8_t *)room, (const uint8_t *)(room + 2), 0x5A),
-          "something was written");
-
-    const struct {
-        const int64_t *values;
-        size_t count, rank;
-        int expected;
-    } ranks[] = {{NULL, 4, 0, CANSER_NULL},
-                 {in, 4, 4, CANSER_NULL},
-                 {in, 0, 0, CANSER_NULL},
-                 {in_off, 3, 0, CANSER_MISALIGNED}};
-    for (size_t i = 0; i < sizeof ranks / sizeof *ranks; i++) {
-        now.part = "ranks";
-        now.len = i;
-        ranked = (canser_ranked){1, 1, 1};
-        index = 1;
-        check(canser_times_rank(ranks[i].values, ranks[i].count, ranks[i].rank, &ranked) ==
-                      ranks[i].expected &&
-                  is_zero(&ranked, sizeof ranked),
-              "rank");
-        check(canser_times_lowest(ranks[i].values, ranks[i].count, ranks[i].rank, &index) ==
-                      ranks[i].expected &&
-                  index == 0,
-              "lowest");
-    }
-    const int64_t many[CANSER_LOWEST_MAX + 1] = {0};
-    check(canser_times_lowest(many, CANSER_LOWEST_MAX + 1, CANSER_LOWEST_MAX, &index) ==
-              CANSER_RANGE,
-          "a rank that is not told apart");
 }
 
 /* A call of canser_chunk_decode() that must be refused. */
