@@ -84,6 +84,7 @@ def test_every_short_string(tmp_path: Path) -> None:
     assert_all_pass(run(build_test(tmp_path, "cases", *FAST), *STRINGS))
 
 
+@takes_long
 def test_short_strings_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
     assert_all_pass(run(build_test(tmp_path, "cases", *debug_flags), SHORT))
 
@@ -110,10 +111,12 @@ def test_blocks_of_recordings(tmp_path: Path) -> None:
     assert_all_pass(run(build_test(tmp_path, "recording", *FAST)))
 
 
+@takes_long
 def test_blocks_of_recordings_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
     assert_all_pass(run(build_test(tmp_path, "recording", *debug_flags)))
 
 
+@takes_long
 def test_more_than_4_gib(tmp_path: Path) -> None:
     # It says so where the address space is too small.
     output = run(build_test(tmp_path, "guard", *FAST), "--huge")

@@ -1721,7 +1721,7 @@ static void test_times(void)
     now.protocol = 0;
     for (int i = 0; i < TIMES_ARRAYS; i++)
         times_arenas[i] = arena_new(TIMES_MAX * sizeof(canser_frame));
-    for (size_t round = 0; round < 3000; round++) {
+    for (size_t round = 0; round < 1000; round++) {
         const size_t count = round < 60 ? round : random_below(random_below(8) ? 60 : TIMES_MAX);
         const int64_t line_at = (int64_t)random_below(1 << 24);
         const canser_timing setup = {
