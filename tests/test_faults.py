@@ -774,9 +774,11 @@ def test_a_device_that_is_away_has_no_lost_ping(tmp_path: Path) -> None:
         device.unplug()
         until(lambda: port._ring.at_gap)
         port.read_batch(timeout=0)
-        assert port._stream._watchdog is not None
-        port._stream._watchdog.now = lambda: time.time_ns() + 10**12  # the ping was long ago
+        watchdog = port._stream._watchdog
+        assert watchdog is not None
+        now, watchdog.now = watchdog.now, lambda: time.time_ns() + 10**12  # the ping was long ago
         port._stream._watch()
+        watchdog.now = now
         assert [gap.reason for gap in port.take_gaps()] == ["reconnect"]
         port_path.symlink_to(target)
         new = replug()
