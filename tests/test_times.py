@@ -171,8 +171,11 @@ def test_arrivals(
     assert room.frames["ts"].tolist() == expected
 
 
-def false_runs(rng: np.random.Generator, count: int) -> list[int | None]:
-    """Return by how many ticks a clock is off: for runs of frames it is, or shows anything."""
+def false_runs(rng: np.random.Generator, count: int, most: int) -> list[int | None]:
+    """Return by how many ticks a clock is off: for runs of frames it is, or shows anything.
+
+    `most`: ticks by which it is set. Set over and over, one of seconds would pass 2**63 ns.
+    """
     off: list[int | None] = []
     while len(off) < count:
         length = int(rng.integers(1, 20))
@@ -184,7 +187,8 @@ def false_runs(rng: np.random.Generator, count: int) -> list[int | None]:
         else:
             # As if the clock had been set, half a turn away as well, and near the limit.
             places = (TURN // 2, SMALL, int(rng.integers(0, TURN)))
-            off += [places[int(rng.integers(0, 3))] + int(rng.integers(-1, 2))] * length
+            place = min(places[int(rng.integers(0, 3))], most)
+            off += [place + int(rng.integers(-1, 2))] * length
     return off[:count]
 
 
@@ -199,7 +203,9 @@ def stream_of(
     at = (np.cumsum(rng.integers(1, 25, int(rng.integers(0, 200)))) - 1).tolist()
     arrivals = [arrival_of(pieces, offset, byte_ns) for offset in at]
     decoded, turn = [], 0
-    for arrival, off in zip(arrivals, false_runs(rng, len(at)), strict=True):
+    for arrival, off in zip(
+        arrivals, false_runs(rng, len(at), SMALL if tick_ns == S else TURN), strict=True
+    ):
         raw = int(rng.integers(0, TURN)) if off is None else arrival // tick_ns + 12345 + off
         # A decoder may be some turns off.
         turn += int(rng.integers(-2, 3)) if rng.random() < 0.05 else 0
