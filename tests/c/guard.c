@@ -139,9 +139,8 @@ static uint8_t *put(const arena *a, size_t size, size_t shift, uint8_t fill)
 
 static bool is_filled(const uint8_t *p, const uint8_t *end, uint8_t fill)
 {
-    while (p < end && *p == fill)
-        p++;
-    return p == end;
+    /* All are as the first one if each is as the next one. */
+    return p == end || (*p == fill && memcmp(p, p + 1, (size_t)(end - p) - 1) == 0);
 }
 
 /* Whether the arena is as it was, but for the `size` bytes at `p`. */
