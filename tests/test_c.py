@@ -1,7 +1,6 @@
 """What is tested in C: every short string, guard pages around all memory, the fuzz target.
 
-Each program is built twice: with sanitizers, where the compiler has them, and optimised. The
-form without vectors, which other machines take, has its turn, too.
+Each program is built twice: optimised, and with sanitizers where the compiler has them.
 """
 
 import os
@@ -25,7 +24,6 @@ SHARED = [HERE / "c" / "plain.c", HERE / "c" / "drive.c"]
 COMPILER = shlex.split(os.environ.get("CC") or "cc")
 
 FAST = ["-O2"]
-PORTABLE = [*FAST, "-DCANSER_PORTABLE"]
 DEBUG = ["-g", "-O1"]
 SANITIZED = [*DEBUG, "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
@@ -87,15 +85,6 @@ def test_every_short_string(tmp_path: Path) -> None:
 @takes_long
 def test_short_strings_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
     assert_all_pass(run(build_test(tmp_path, "cases", *debug_flags), SHORT))
-
-
-def test_short_strings_without_vectors(tmp_path: Path) -> None:
-    assert_all_pass(run(build_test(tmp_path, "cases", *PORTABLE), SHORT))
-
-
-@takes_long
-def test_guard_pages_without_vectors(tmp_path: Path) -> None:
-    assert_all_pass(run(build_test(tmp_path, "guard", *PORTABLE)))
 
 
 def test_guard_pages(tmp_path: Path) -> None:
