@@ -18,7 +18,7 @@ ffibuilder.cdef(bound.group(1))
 ffibuilder.set_source(
     "canser._core._lib",
     '#include "canser.h"',
-    sources=sorted(path.relative_to(ROOT).as_posix() for path in HERE.glob("*.c")),
+    sources=sorted(path.relative_to(ROOT).as_posix() for path in HERE.rglob("*.c")),
     include_dirs=[HERE.relative_to(ROOT).as_posix()],
     depends=sorted(path.relative_to(ROOT).as_posix() for path in HERE.glob("*.h")),
     extra_compile_args=["/O2", "/std:c11"] if sys.platform == "win32" else ["-O3", "-std=c11"],

@@ -18,7 +18,8 @@ import vectors
 from long import LONG, takes_long
 
 HERE = Path(__file__).parent
-SOURCES = sorted((HERE.parent / "csrc").glob("*.c"))
+CORE = HERE.parent / "csrc"
+SOURCES = sorted(CORE.rglob("*.c"))
 SHARED = [HERE / "c" / "plain.c", HERE / "c" / "drive.c"]
 
 COMPILER = shlex.split(os.environ.get("CC") or "cc")
@@ -54,7 +55,7 @@ def build(program: Path, *arguments: str | Path) -> Path:
 
 def build_test(folder: Path, name: str, *flags: str) -> Path:
     sources = [HERE / "c" / f"{name}.c", *SHARED, *SOURCES]
-    return build(folder / name, *flags, f"-I{SOURCES[0].parent}", *sources)
+    return build(folder / name, *flags, f"-I{CORE}", *sources)
 
 
 def assert_all_pass(output: str) -> None:
