@@ -14,7 +14,9 @@ bound = re.search(r"/\* cffi: begin \*/(.*)/\* cffi: end \*/", header, re.DOTALL
 assert bound, "canser.h has lost its cffi region"
 
 ffibuilder = cffi.FFI()
-ffibuilder.cdef(bound.group(1))
+# What follows from the list of protocols is computed by the C compiler.
+ffibuilder.cdef("#define CANSER_PACKET_MAX ...\n#define CANSER_BEHIND ...")
+ffibuilder.cdef(re.sub(r"\[CANSER_(PACKET_MAX|CONTROL_ROOM)\]", "[...]", bound.group(1)))
 ffibuilder.set_source(
     "canser._core._lib",
     '#include "canser.h"',

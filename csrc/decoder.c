@@ -5,11 +5,11 @@
 _Static_assert(sizeof(canser_frame) == 24, "the record is 24 bytes");
 _Static_assert(offsetof(canser_frame, data) == 8, "data lies at 8");
 _Static_assert(offsetof(canser_frame, ts) == 16, "ts lies at 16");
-_Static_assert(sizeof(canser_control) == 32, "a control packet is 32 bytes");
+_Static_assert(sizeof(canser_control) == 8 + 1 + CANSER_CONTROL_ROOM, "no byte is left over");
 
 const canser_protocol *canser_protocol_at(size_t index)
 {
-#define CANSER_ROW(name) &canser_protocol_##name,
+#define CANSER_ROW(name, packet_max) &canser_protocol_##name,
     static const canser_protocol *const table[] = {CANSER_PROTOCOLS(CANSER_ROW)};
 #undef CANSER_ROW
     return index < sizeof table / sizeof *table ? table[index] : NULL;

@@ -1,18 +1,21 @@
 /* Private: the loops over a stream, written once and compiled once for each
  * protocol. A protocol file defines, and then includes this:
  *
+ *   NAME        as in the list of protocols
  *   HAS_CLOCK   1 if its frames carry a device timestamp, else 0
  *   HAS_EXT     1 if it has extended frames, else 0
  *   HAS_ERR     1 if it has error frames, else 0
  *   FRAME_MIN   the shortest frame in bytes
  *   FRAME_MAX   the longest frame in bytes
+ *   PACKET_MAX  the longest packet in bytes, as the list of protocols has it
  *   START_MARK  the byte with which every packet starts; not defined where there is none
  *   probe()     what starts at `p`, of which `avail` bytes are the stream's and
  *               SCAN_WINDOW may be read. Checks the bytes in the order in which
  *               they arrive, so that a reject and its reason never depend on
  *               how many bytes are there. Writes `frame` (all but ts) and `raw`
  *               (the device timestamp) only where it finds a frame.
- *   probe_plain()  the same for the frames that a bus is full of, where a whole
+ *   HAS_PLAIN   1 if it has the fast forms: probe_plain(), begin_plain() and emit_plain()
+ *   probe_plain()  as probe(), for the frames that a bus is full of, where a whole
  *               window is there: true, with `p` behind the frame, or false if
  *               probe() must tell. `lead` is the byte that tells the length of
  *               the frame at `p`: loaded one frame ahead, as all waits for it.
@@ -24,6 +27,12 @@
  *   emit_plain()  the same for a frame that take_apart() let pass.
  */
 #include "clock.h"
+
+_Static_assert(FRAME_MIN > 0 && FRAME_MIN <= FRAME_MAX && FRAME_MAX <= PACKET_MAX &&
+                   PACKET_MAX <= UINT8_MAX,
+               "lengths in order, that fit a byte");
+_Static_assert(PACKET_MAX == sizeof((union canser_longest *)0)->NAME,
+               "the list of protocols in canser.h says how long packets are");
 
 /* How far ahead of the scan the caches are asked, in bytes and in records: a few
  * times what passes during one access to memory. */
@@ -110,6 +119,8 @@ CANSER_COLD bool take_control(canser_decoder *self, const uint8_t *p, size_t len
     return true;
 }
 
+#if HAS_PLAIN
+
 /* Where a run of plain frames stopped. */
 typedef struct {
     const uint8_t *p;
@@ -180,6 +191,8 @@ CANSER_NOINLINE plain_stop take_plain_ends(const uint8_t *p, canser_frame *frame
     return plain_loop(p, frame, until, clock, offsets, ends, shift);
 }
 
+#endif
+
 CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, size_t pos,
                                   size_t stop_pos, size_t len, uint64_t base, canser_batch *batch,
                                   const scan_mode mode)
@@ -208,6 +221,7 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
         probe_result found = probe_frame(0);
 
         do {
+#if HAS_PLAIN
             if (mode == SCAN_BODY) {
                 const ptrdiff_t done = frame - begin;
                 const uint64_t shift = base - (uintptr_t)data;
@@ -222,6 +236,7 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
                 if (frame == until)
                     break;
             }
+#endif
             const size_t avail = mode == SCAN_BODY ? (size_t)SCAN_WINDOW : (size_t)(end - p);
             const uint64_t number = number_before + (uint64_t)(frame - begin);
             uint32_t raw;
@@ -282,6 +297,8 @@ CANSER_INLINE uint32_t count_ticks(int64_t ts, int64_t tick_ns)
     return (uint32_t)(ticks - (ts < ticks * tick_ns));
 }
 
+#if HAS_PLAIN
+
 /* Where a run of plain frames to send stopped. */
 typedef struct {
     const canser_frame *frame;
@@ -322,6 +339,8 @@ CANSER_NOINLINE emit_stop put_plain(const canser_frame *frame, const canser_fram
     return emit_loop(frame, until, tick_ns, out);
 }
 
+#endif
+
 /* Why the format cannot carry a frame: CANSER_REFUSAL_*, NONE where it can. */
 static int refuse(const canser_frame *frame)
 {
@@ -346,12 +365,14 @@ static void encode(const canser_frame *frames, size_t frame_count, int64_t tick_
         const canser_frame *const until = frame + (left < room ? left : room);
 
         do {
+#if HAS_PLAIN
             const emit_stop at = put_plain(frame, until, tick_ns, out);
 
             frame = at.frame;
             out = at.out;
             if (frame == until)
                 break;
+#endif
             refusal = refuse(frame);
             if (refusal)
                 break;

@@ -106,6 +106,16 @@ def test_blocks_of_recordings_sanitized(tmp_path: Path, debug_flags: list[str]) 
     assert_all_pass(run(build_test(tmp_path, "recording", *debug_flags)))
 
 
+def test_a_protocol_of_long_packets(tmp_path: Path, debug_flags: list[str]) -> None:
+    rows = "ROW(cantalope, 10) ROW(long40, 40) ROW(seeed, 20) ROW(serial, 19)"
+    arguments = [f"-DCANSER_PROTOCOLS(ROW)={rows}", f"-I{CORE}", HERE / "c" / "long.c", *SOURCES]
+    assert_all_pass(run(build(tmp_path / "long", *debug_flags, *arguments)))
+    # A row that says less than is so does not get as far.
+    arguments[0] = arguments[0].replace("40)", "39)")
+    with pytest.raises(AssertionError, match="how long packets are"):
+        build(tmp_path / "short", *arguments)
+
+
 @takes_long
 def test_more_than_4_gib(tmp_path: Path) -> None:
     # It says so where the address space is too small.

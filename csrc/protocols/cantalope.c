@@ -103,11 +103,14 @@ CANSER_INLINE uint8_t *emit(const canser_frame *frame, uint32_t raw, uint8_t *ou
     return emit_fields(frame->id, rtr, frame->dlc, rtr ? zeros : frame->data, out);
 }
 
-#define HAS_CLOCK 0
-#define HAS_EXT   0
-#define HAS_ERR   0
-#define FRAME_MIN HEADER
-#define FRAME_MAX (HEADER + DLC_MAX)
+#define NAME       cantalope
+#define HAS_CLOCK  0
+#define HAS_EXT    0
+#define HAS_ERR    0
+#define HAS_PLAIN  1
+#define FRAME_MIN  HEADER
+#define FRAME_MAX  (HEADER + DLC_MAX)
+#define PACKET_MAX FRAME_MAX
 #include "scan.h"
 
 static void explain(const uint8_t *p, canser_report *report)

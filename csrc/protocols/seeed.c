@@ -223,12 +223,15 @@ CANSER_INLINE uint8_t *emit(const canser_frame *frame, uint32_t raw, uint8_t *ou
     return emit_fields(lead, frame->id, ext, frame->dlc, rtr ? zeros : frame->data, out);
 }
 
+#define NAME       seeed
 #define START_MARK START
 #define HAS_CLOCK  0
 #define HAS_EXT    1
 #define HAS_ERR    0
+#define HAS_PLAIN  1
 #define FRAME_MIN  5
 #define FRAME_MAX  FIXED_LEN
+#define PACKET_MAX FIXED_LEN
 #include "scan.h"
 
 /* Commands of control packets. */

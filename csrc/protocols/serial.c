@@ -125,12 +125,15 @@ CANSER_INLINE uint8_t *emit(const canser_frame *frame, uint32_t raw, uint8_t *ou
     return emit_fields(raw, frame->dlc, frame->id | flags, frame->data, rtr ? 0 : frame->dlc, out);
 }
 
+#define NAME       serial
 #define START_MARK START
 #define HAS_CLOCK  1
 #define HAS_EXT    1
 #define HAS_ERR    1
+#define HAS_PLAIN  1
 #define FRAME_MIN  (HEADER + 1)
 #define FRAME_MAX  (HEADER + DLC_MAX + 1)
+#define PACKET_MAX FRAME_MAX
 #include "scan.h"
 
 static const struct canser_codec codec = {.scan = scan, .encode = encode, .refuse = refuse};
