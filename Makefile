@@ -3,7 +3,7 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
-BUILT  := setup.py pyproject.toml $(wildcard csrc/*)
+BUILT  := setup.py pyproject.toml $(wildcard csrc/* csrc/protocols/*)
 
 .PHONY: demo test lint bench soak clean
 
@@ -17,7 +17,7 @@ lint: $(VENV)/.lint ## run the linters
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/clang-format --dry-run -Werror csrc/*.[ch] tests/c/*.[ch] bench/*.c
+	$(BIN)/clang-format --dry-run -Werror csrc/*.[ch] csrc/protocols/*.c tests/c/*.[ch] bench/*.c
 
 bench: $(VENV)/.bench ## print what is reached and what must be; plot time against size
 	$(BIN)/python bench/table.py

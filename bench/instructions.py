@@ -76,7 +76,7 @@ def run(command: list[str]) -> str:
 
 
 def build(program: Path) -> None:
-    sources = [*sorted(CORE.glob("*.c")), HERE / "instructions.c"]
+    sources = [*sorted(CORE.rglob("*.c")), HERE / "instructions.c"]
     run([*COMPILER, *FLAGS, f"-I{CORE}", *map(str, sources), "-o", str(program)])
 
 

@@ -36,7 +36,7 @@ def main() -> None:
     )
     with tempfile.TemporaryDirectory() as folder:
         program, stream = Path(folder) / "limits", Path(folder) / "stream"
-        sources = [*sorted(CORE.glob("*.c")), HERE / "limits.c"]
+        sources = [*sorted(CORE.rglob("*.c")), HERE / "limits.c"]
         command = [*compiler, "-O3", "-std=c11", f"-I{CORE}", *map(str, sources)]
         if subprocess.run([*command, "-o", str(program)], check=False).returncode:
             sys.exit("limits.c does not compile")

@@ -14,11 +14,13 @@ bound = re.search(r"/\* cffi: begin \*/(.*)/\* cffi: end \*/", header, re.DOTALL
 assert bound, "canser.h has lost its cffi region"
 
 ffibuilder = cffi.FFI()
-ffibuilder.cdef(bound.group(1))
+# What follows from the list of protocols is computed by the C compiler.
+ffibuilder.cdef("#define CANSER_PACKET_MAX ...\n#define CANSER_BEHIND ...")
+ffibuilder.cdef(re.sub(r"\[CANSER_(PACKET_MAX|CONTROL_ROOM)\]", "[...]", bound.group(1)))
 ffibuilder.set_source(
     "canser._core._lib",
     '#include "canser.h"',
-    sources=sorted(path.relative_to(ROOT).as_posix() for path in HERE.glob("*.c")),
+    sources=sorted(path.relative_to(ROOT).as_posix() for path in HERE.rglob("*.c")),
     include_dirs=[HERE.relative_to(ROOT).as_posix()],
     depends=sorted(path.relative_to(ROOT).as_posix() for path in HERE.glob("*.h")),
     extra_compile_args=["/O2", "/std:c11"] if sys.platform == "win32" else ["-O3", "-std=c11"],

@@ -28,14 +28,33 @@ extern "C" {
 /* The time of a frame whose time is not known: numpy's NaT. */
 #define CANSER_NO_TIME INT64_MIN
 
+/* The protocols, in the order of their names, with the bytes of their longest packets. A new one
+ * is one C file in protocols/, which defines `canser_protocol_NAME`, and one row here. */
+#ifndef CANSER_PROTOCOLS
+#define CANSER_PROTOCOLS(ROW)                                                                      \
+    ROW(cantalope, 10)                                                                             \
+    ROW(seeed, 20)                                                                                 \
+    ROW(serial, 19)
+#endif
+
+#define CANSER_ROOM(name, packet_max) char name[packet_max];
+union canser_longest {
+    CANSER_PROTOCOLS(CANSER_ROOM)
+};
+#undef CANSER_ROOM
+
+/* The longest packet of any protocol, in bytes. */
+#define CANSER_PACKET_MAX sizeof(union canser_longest)
+
+/* The bytes that must follow a position for canser_decoder_advance() to decide there: the longest
+ * packet, and what a probe looks at before it knows that a length is good. */
+#define CANSER_BEHIND (CANSER_PACKET_MAX + 4)
+
+/* Room for a packet, so that a canser_control has no bytes that belong to no field. */
+#define CANSER_CONTROL_ROOM (CANSER_PACKET_MAX / 8 * 8 + 7)
+
 /* Between the two cffi lines stands what Python binds, declared only here. */
 /* cffi: begin */
-
-/* The longest packet of any protocol, in bytes: the fixed packet of `seeed`. */
-#define CANSER_PACKET_MAX 20
-
-/* The bytes that must follow a position for canser_decoder_advance() to decide there. */
-#define CANSER_BEHIND 24
 
 /* The frames in which a chunk's clock must settle to be joined. */
 #define CANSER_SETTLE_MAX 64
@@ -116,11 +135,11 @@ typedef struct {
     int64_t ts;      /* nanoseconds, or CANSER_NO_TIME */
 } canser_frame;
 
-/* One packet that is valid but is no CAN frame, 32 bytes. */
+/* One packet that is valid but is no CAN frame. */
 typedef struct {
-    uint64_t offset;   /* of its first byte in the stream */
-    uint8_t len;       /* 1..CANSER_PACKET_MAX */
-    uint8_t bytes[23]; /* the packet as it came; zero past len */
+    uint64_t offset;                    /* of its first byte in the stream */
+    uint8_t len;                        /* 1..CANSER_PACKET_MAX */
+    uint8_t bytes[CANSER_CONTROL_ROOM]; /* the packet as it came; zero past len */
 } canser_control;
 
 typedef struct {
@@ -151,7 +170,7 @@ typedef struct {
     uint8_t near_line; /* 1: the frame at `jump_at` was near `line` */
 } canser_clock;
 
-/* A packet for the adapter, 21 bytes. */
+/* A packet for the adapter. */
 typedef struct {
     uint8_t len;                      /* 0: there is none */
     uint8_t bytes[CANSER_PACKET_MAX]; /* zero past len */

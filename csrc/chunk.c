@@ -7,7 +7,10 @@
  * and the device clock.
  */
 #include "clock.h"
-#include "vector.h"
+
+#if defined(__x86_64__)
+#include <emmintrin.h>
+#endif
 
 /* How much of the stream a guess reads before its stretch: a scan that starts anywhere
  * falls into step with the true one within some packets, or never. In `cantalope`, which
@@ -180,7 +183,7 @@ int canser_decoder_join(canser_decoder *self, canser_chunk *chunk, canser_frame 
  * spares the read of each line that is going to be written over. */
 CANSER_INLINE void store_past(void *to, uint64_t word)
 {
-#if CANSER_VECTOR && defined(__x86_64__)
+#if defined(__x86_64__)
     _mm_stream_si64(to, (long long)word);
 #else
     memcpy(to, &word, sizeof word);
@@ -190,7 +193,7 @@ CANSER_INLINE void store_past(void *to, uint64_t word)
 /* What was stored past the cache is seen by other threads after this. */
 CANSER_INLINE void settle_stores(void)
 {
-#if CANSER_VECTOR && defined(__x86_64__)
+#if defined(__x86_64__)
     _mm_sfence();
 #endif
 }

@@ -1,15 +1,15 @@
-/* The public functions: a stream cut into pieces, its end, and the way back. */
+/* A stream of bytes, cut into pieces, and its end. */
 #include "protocol.h"
 
 /* What Python takes for granted of the record, and MSVC and others must keep. */
 _Static_assert(sizeof(canser_frame) == 24, "the record is 24 bytes");
 _Static_assert(offsetof(canser_frame, data) == 8, "data lies at 8");
 _Static_assert(offsetof(canser_frame, ts) == 16, "ts lies at 16");
-_Static_assert(sizeof(canser_control) == 32, "a control packet is 32 bytes");
+_Static_assert(sizeof(canser_control) == 8 + 1 + CANSER_CONTROL_ROOM, "no byte is left over");
 
 const canser_protocol *canser_protocol_at(size_t index)
 {
-#define CANSER_ROW(name) &canser_protocol_##name,
+#define CANSER_ROW(name, packet_max) &canser_protocol_##name,
     static const canser_protocol *const table[] = {CANSER_PROTOCOLS(CANSER_ROW)};
 #undef CANSER_ROW
     return index < sizeof table / sizeof *table ? table[index] : NULL;
@@ -25,34 +25,6 @@ const char *canser_reject_name(int reason)
         [CANSER_REJECT_CUT] = "cut",
     };
     return reason >= 0 && reason < CANSER_REJECT_COUNT ? names[reason] : NULL;
-}
-
-const char *canser_refusal_text(int refusal)
-{
-    static const char *const texts[CANSER_REFUSAL_COUNT] = {
-        [CANSER_REFUSAL_NONE] = "",
-        [CANSER_REFUSAL_DLC] = "its dlc is over 8",
-        [CANSER_REFUSAL_ID] = "its id is over 0x7FF and ext is not set; set ext",
-        [CANSER_REFUSAL_ID_EXT] = "its id is over 0x1FFFFFFF",
-        [CANSER_REFUSAL_EXT] = "the format has no extended frames; leave them out",
-        [CANSER_REFUSAL_ERR] = "the format has no error frames; leave them out",
-        [CANSER_REFUSAL_TIME] = "the format needs a time and ts is not known (NaT); set ts",
-    };
-    return refusal >= 0 && refusal < CANSER_REFUSAL_COUNT ? texts[refusal] : NULL;
-}
-
-const char *canser_refusal_name(int refusal)
-{
-    static const char *const names[CANSER_REFUSAL_COUNT] = {
-        [CANSER_REFUSAL_NONE] = "",
-        [CANSER_REFUSAL_DLC] = "dlcs over 8",
-        [CANSER_REFUSAL_ID] = "standard ids over 0x7FF",
-        [CANSER_REFUSAL_ID_EXT] = "ids over 0x1FFFFFFF",
-        [CANSER_REFUSAL_EXT] = "extended ids",
-        [CANSER_REFUSAL_ERR] = "error frames",
-        [CANSER_REFUSAL_TIME] = "unknown times",
-    };
-    return refusal >= 0 && refusal < CANSER_REFUSAL_COUNT ? names[refusal] : NULL;
 }
 
 int canser_decoder_init(canser_decoder *self, const canser_protocol *protocol, int64_t tick_ns)
@@ -193,54 +165,5 @@ int canser_decoder_flush(canser_decoder *self, canser_batch *batch)
         return CANSER_NULL;
     if (self->carry_len && batch->frame_cap)
         scan_carry(self, NULL, 0, batch, self->stats.bytes_in - self->carry_len, SCAN_END);
-    return CANSER_OK;
-}
-
-int canser_encode(const canser_protocol *protocol, int64_t tick_ns, const canser_frame *frames,
-                  size_t frame_count, uint8_t *out, size_t out_cap, canser_encoded *result)
-{
-    if (!result)
-        return CANSER_NULL;
-    *result = (canser_encoded){0, 0, CANSER_REFUSAL_NONE};
-    if (!protocol || (!frames && frame_count) || (!out && out_cap))
-        return CANSER_NULL;
-    if (tick_ns < 1)
-        return CANSER_TICK;
-    if (misaligned(frames, _Alignof(canser_frame)))
-        return CANSER_MISALIGNED;
-    if (spans_meet(span_of(frames, frame_count, sizeof *frames), span_of(out, out_cap, 1)))
-        return CANSER_OVERLAP;
-
-    if (frame_count && out_cap)
-        protocol->codec->encode(frames, frame_count, tick_ns, out, out_cap, result);
-    /* Too near the end of `out` for wide stores: one by one through a window. */
-    while (!result->refusal && result->frame_count < frame_count) {
-        uint8_t window[SCAN_WINDOW];
-        canser_encoded one;
-
-        protocol->codec->encode(frames + result->frame_count, 1, tick_ns, window, sizeof window,
-                                &one);
-        result->refusal = one.refusal;
-        if (one.byte_count > out_cap - result->byte_count)
-            break;
-        if (one.byte_count)
-            memcpy(out + result->byte_count, window, one.byte_count);
-        result->byte_count += one.byte_count;
-        result->frame_count += one.frame_count;
-    }
-    return result->refusal ? CANSER_REFUSED : CANSER_OK;
-}
-
-int canser_refuse(const canser_protocol *protocol, const canser_frame *frames, size_t frame_count,
-                  uint8_t *refusals)
-{
-    if (!protocol || ((!frames || !refusals) && frame_count))
-        return CANSER_NULL;
-    if (misaligned(frames, _Alignof(canser_frame)))
-        return CANSER_MISALIGNED;
-    if (spans_meet(span_of(frames, frame_count, sizeof *frames), span_of(refusals, frame_count, 1)))
-        return CANSER_OVERLAP;
-    for (size_t i = 0; i < frame_count; i++)
-        refusals[i] = (uint8_t)protocol->codec->refuse(frames + i);
     return CANSER_OK;
 }

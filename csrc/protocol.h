@@ -1,4 +1,4 @@
-/* Private: the list of protocols, the functions behind a row, and what every
+/* Private: the functions behind a row of the list of protocols, and what every
  * wire format needs: loads and stores in a fixed byte order, payload masks. */
 #ifndef CANSER_PROTOCOL_H
 #define CANSER_PROTOCOL_H
@@ -8,14 +8,7 @@
 #include <stdbool.h>
 #include <string.h>
 
-/* The list. A new protocol is one C file that defines `canser_protocol_NAME`,
- * and one row here, in the order of the names. */
-#define CANSER_PROTOCOLS(ROW)                                                                      \
-    ROW(cantalope)                                                                                 \
-    ROW(seeed)                                                                                     \
-    ROW(serial)
-
-#define CANSER_DECLARE(name) extern const canser_protocol canser_protocol_##name;
+#define CANSER_DECLARE(name, packet_max) extern const canser_protocol canser_protocol_##name;
 CANSER_PROTOCOLS(CANSER_DECLARE)
 #undef CANSER_DECLARE
 
@@ -71,10 +64,8 @@ typedef struct {
 } scan_stop;
 
 /* The bytes that may be read behind any candidate, whether they belong to the
- * stream or are padding: the longest packet, the longest wide load, and what a
- * probe looks at before it knows that the dlc is good. */
+ * stream or are padding. */
 enum { SCAN_WINDOW = CANSER_BEHIND };
-_Static_assert(SCAN_WINDOW >= CANSER_PACKET_MAX, "a whole packet fits the window");
 
 /* What a probe says of one position. */
 typedef enum { PROBE_FRAME, PROBE_CONTROL, PROBE_MORE, PROBE_REJECT } probe_kind;

@@ -1,25 +1,26 @@
 /* Private: the loops over a stream, written once and compiled once for each
  * protocol. A protocol file defines, and then includes this:
  *
+ *   NAME        as in the list of protocols
  *   HAS_CLOCK   1 if its frames carry a device timestamp, else 0
  *   HAS_EXT     1 if it has extended frames, else 0
  *   HAS_ERR     1 if it has error frames, else 0
  *   FRAME_MIN   the shortest frame in bytes
  *   FRAME_MAX   the longest frame in bytes
+ *   PACKET_MAX  the longest packet in bytes, as the list of protocols has it
+ *   START_MARK  the byte with which every packet starts; not defined where there is none
  *   probe()     what starts at `p`, of which `avail` bytes are the stream's and
  *               SCAN_WINDOW may be read. Checks the bytes in the order in which
  *               they arrive, so that a reject and its reason never depend on
  *               how many bytes are there. Writes `frame` (all but ts) and `raw`
  *               (the device timestamp) only where it finds a frame.
- *   probe_plain()  the same for the frames that a bus is full of, where a whole
+ *   HAS_PLAIN   1 if it has the fast forms: probe_plain(), begin_plain() and emit_plain()
+ *   probe_plain()  as probe(), for the frames that a bus is full of, where a whole
  *               window is there: true, with `p` behind the frame, or false if
  *               probe() must tell. `lead` is the byte that tells the length of
  *               the frame at `p`: loaded one frame ahead, as all waits for it.
  *               May write what it is given at any time.
  *   begin_plain()  the first `lead`; false if no plain frame starts at `p`
- *   survey()    with vectors: where among 64 positions a packet starts, and why none
- *               does at the others. If it need not be `exact`, a constant in each
- *               call, positions that only probe() can tell may be open, too.
  *   emit()      one frame to the wire; returns the place behind it, never over
  *               SCAN_WINDOW bytes on, and may write so many. `raw` is the device
  *               timestamp to send.
@@ -27,87 +28,35 @@
  */
 #include "clock.h"
 
+_Static_assert(FRAME_MIN > 0 && FRAME_MIN <= FRAME_MAX && FRAME_MAX <= PACKET_MAX &&
+                   PACKET_MAX <= UINT8_MAX,
+               "lengths in order, that fit a byte");
+_Static_assert(PACKET_MAX == sizeof((union canser_longest *)0)->NAME,
+               "the list of protocols in canser.h says how long packets are");
+
 /* How far ahead of the scan the caches are asked, in bytes and in records: a few
  * times what passes during one access to memory. */
 enum { PREFETCH_IN = 1024, PREFETCH_OUT = 128 };
 
-/* A reject so few bytes behind the last one is one of many. */
-enum { NOISE_REACH = 8 };
+#ifdef START_MARK
 
-#if CANSER_VECTOR
+/* Start marks that are nearer to each other than this are found sooner byte by byte. */
+enum { SEARCH_MIN = 16 };
 
-/* Count the rejects among the surveyed positions that were skipped, all but those for
- * SURVEY_REST. Returns how many. */
-CANSER_INLINE uint64_t count_rejects(canser_stats *stats, const surveyed *seen, uint64_t skipped)
+/* Over bytes that start nothing. */
+CANSER_INLINE const uint8_t *skip_to_mark(canser_stats *stats, const uint8_t *p,
+                                          const uint8_t *stop)
 {
-    uint64_t total = 0;
+    const uint8_t *const begin = p;
+    const uint8_t *const near = stop - p < SEARCH_MIN ? stop : p + SEARCH_MIN;
 
-/* What a wire format never says is a constant zero, and folds away. */
-#define COUNT(reason, mask)                                                                        \
-    if (mask) {                                                                                    \
-        const uint64_t count = count_bits((mask) & skipped);                                       \
-        stats->rejects[reason] += count;                                                           \
-        total += count;                                                                            \
-    }
-    COUNT(CANSER_REJECT_TYPE, seen->type)
-    COUNT(CANSER_REJECT_DLC, seen->dlc)
-    COUNT(CANSER_REJECT_ID, seen->id)
-    COUNT(CANSER_REJECT_END, seen->end)
-    COUNT(CANSER_REJECT_SUM, seen->sum)
-    COUNT(CANSER_REJECT_FIELD, seen->field)
-    COUNT(CANSER_REJECT_COMMAND, seen->command)
-#undef COUNT
-    return total;
-}
-
-/* From `p`, over rejects, to the first position where something else is found,
- * or where fewer than SURVEY positions are left. */
-CANSER_INLINE const uint8_t *resync_surveys(canser_stats *stats, const uint8_t *p,
-                                            const uint8_t *stop)
-{
-    /* Behind noise the next frame is near: one position, then a few candidates are
-     * sooner asked than all are surveyed. Where that does not find it, an exact survey
-     * takes the same time whatever the bytes are. */
-    bool exact = false;
-
-    if (p < stop) {
-        canser_frame scratch;
-        uint32_t raw;
-        const probe_result found = probe(p, SCAN_WINDOW, &scratch, &raw);
-
-        if (found.kind != PROBE_REJECT)
-            return p;
-        stats->rejects[found.value]++;
+    while (p < near && *p != START_MARK)
         p++;
+    if (p == near && p < stop) {
+        p = memchr(p, START_MARK, (size_t)(stop - p));
+        p = p ? p : stop;
     }
-    while (stop - p >= SURVEY) {
-        const surveyed seen = exact ? survey(p, true) : survey(p, false);
-        uint64_t left = seen.open, skipped = UINT64_MAX;
-        size_t passed = SURVEY, counted = 0;
-
-        while (left) {
-            canser_frame scratch;
-            uint32_t raw;
-            const size_t at = lowest_bit(left);
-            const probe_result found =
-                exact ? probe_frame(0) : probe(p + at, SCAN_WINDOW, &scratch, &raw);
-
-            if (found.kind != PROBE_REJECT) {
-                passed = at;
-                skipped = (UINT64_C(1) << at) - 1;
-                break;
-            }
-            stats->rejects[found.value]++;
-            counted++;
-            left &= left - 1;
-        }
-        counted += count_rejects(stats, &seen, skipped);
-        stats->rejects[SURVEY_REST] += passed - counted;
-        p += passed;
-        if (passed < SURVEY)
-            break;
-        exact = true;
-    }
+    stats->rejects[CANSER_REJECT_MARKER] += (uint64_t)(p - begin);
     return p;
 }
 
@@ -129,11 +78,13 @@ CANSER_NOINLINE const uint8_t *resync(canser_decoder *self, const uint8_t *p, co
     /* Step one byte, not one packet: a false marker may have swallowed the start
      * of a good frame, and that frame must still be found. */
     p++;
-#if CANSER_VECTOR
-    if (mode == SCAN_BODY)
-        p = resync_surveys(stats, p, stop);
-#endif
     while (p < stop) {
+#ifdef START_MARK
+        if (*p != START_MARK) {
+            p = skip_to_mark(stats, p, stop);
+            continue;
+        }
+#endif
         const size_t avail = mode == SCAN_BODY ? (size_t)SCAN_WINDOW : (size_t)(end - p);
         const probe_result found = probe(p, avail, &scratch, &raw);
 
@@ -167,6 +118,8 @@ CANSER_COLD bool take_control(canser_decoder *self, const uint8_t *p, size_t len
     self->stats.bytes_control += len;
     return true;
 }
+
+#if HAS_PLAIN
 
 /* Where a run of plain frames stopped. */
 typedef struct {
@@ -238,86 +191,6 @@ CANSER_NOINLINE plain_stop take_plain_ends(const uint8_t *p, canser_frame *frame
     return plain_loop(p, frame, until, clock, offsets, ends, shift);
 }
 
-#if CANSER_VECTOR
-
-/* Whether a reject at `p` is one of many, with input and room enough for scan_noise(). */
-CANSER_INLINE bool is_noise(const canser_decoder *self, const uint8_t *p, const uint8_t *stop,
-                            ptrdiff_t room, uint64_t offset)
-{
-    return offset != self->skip_end && offset - self->skip_end < NOISE_REACH &&
-           stop - p >= SURVEY && room > SURVEY / FRAME_MIN;
-}
-
-/* From a reject at `p`, through noise that is full of frames: survey SURVEY positions,
- * take the frames among them, and count all that they do not cover. Until among so many
- * there is no frame or nothing else, a control packet is found, or too little is left of
- * the input or the room. `offset` is that of the reject, `number` that of the next frame. */
-CANSER_NOINLINE const uint8_t *scan_noise(canser_decoder *self, const uint8_t *p,
-                                          const uint8_t *stop, uint64_t offset, canser_batch *batch,
-                                          uint64_t number)
-{
-    canser_stats *const stats = &self->stats;
-    canser_frame *frame = batch->frames + batch->frame_count;
-    const canser_frame *const frames_end = batch->frames + batch->frame_cap;
-    int64_t *offsets = batch->offsets ? batch->offsets + batch->frame_count : NULL;
-    int64_t *ends = batch->ends ? batch->ends + batch->frame_count : NULL;
-    canser_clock clock = self->clock;
-    uint64_t skip_end = self->skip_end, bytes_skipped = 0, counted = 0, resyncs = 0;
-    bool done = false;
-
-    while (!done && stop - p >= SURVEY && frames_end - frame > SURVEY / FRAME_MIN) {
-        const surveyed seen = survey(p, true);
-        const canser_frame *const first = frame;
-        uint64_t left = seen.open, skipped = 0;
-        size_t passed = 0;
-
-        /* Bit 0 of `left` is position `passed`. */
-        while (left) {
-            const size_t ahead = lowest_bit(left);
-            const uint8_t *const found_at = p + passed + ahead;
-            uint32_t raw;
-
-            skipped |= ((UINT64_C(1) << ahead) - 1) << passed;
-            passed += ahead;
-            const probe_result found = probe(found_at, SCAN_WINDOW, frame, &raw);
-            if (found.kind != PROBE_FRAME) {
-                done = true;
-                break;
-            }
-            frame->ts = HAS_CLOCK ? clock_advance(&clock, raw, number, stats) : CANSER_NO_TIME;
-            number++;
-            if (offsets)
-                *offsets++ = (int64_t)(offset + passed);
-            if (ends)
-                *ends++ = (int64_t)(offset + passed + found.value);
-            frame++;
-            left >>= ahead;
-            left >>= found.value;
-            passed += found.value;
-        }
-        if (!done && passed < SURVEY) {
-            skipped |= UINT64_MAX << passed;
-            passed = SURVEY;
-        }
-        done = done || !skipped || frame == first;
-        if (skipped) {
-            resyncs += count_bits(skipped & ~(skipped << 1 | (offset == skip_end)));
-            skip_end = offset + highest_bit(skipped) + 1;
-            bytes_skipped += count_bits(skipped);
-            counted += count_rejects(stats, &seen, skipped);
-        }
-        p += passed;
-        offset += passed;
-    }
-    stats->rejects[SURVEY_REST] += bytes_skipped - counted;
-    stats->resyncs += resyncs;
-    stats->bytes_skipped += bytes_skipped;
-    self->skip_end = skip_end;
-    self->clock = clock;
-    batch->frame_count = (size_t)(frame - batch->frames);
-    return p;
-}
-
 #endif
 
 CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, size_t pos,
@@ -348,6 +221,7 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
         probe_result found = probe_frame(0);
 
         do {
+#if HAS_PLAIN
             if (mode == SCAN_BODY) {
                 const ptrdiff_t done = frame - begin;
                 const uint64_t shift = base - (uintptr_t)data;
@@ -362,6 +236,7 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
                 if (frame == until)
                     break;
             }
+#endif
             const size_t avail = mode == SCAN_BODY ? (size_t)SCAN_WINDOW : (size_t)(end - p);
             const uint64_t number = number_before + (uint64_t)(frame - begin);
             uint32_t raw;
@@ -388,20 +263,6 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
             break;
         } else if (found.kind != PROBE_FRAME) {
             const size_t reason = found.kind == PROBE_REJECT ? found.value : CANSER_REJECT_CUT;
-#if CANSER_VECTOR
-            if (mode == SCAN_BODY && is_noise(self, p, stop, frames_end - frame, offset)) {
-                const uint8_t *const before = p;
-
-                batch->frame_count = (size_t)(frame - batch->frames);
-                self->clock = clock;
-                p = scan_noise(self, p, stop, offset, batch,
-                               number_before + (uint64_t)(frame - begin));
-                clock = self->clock;
-                frame = batch->frames + batch->frame_count;
-                if (p != before)
-                    continue;
-            }
-#endif
             p = resync(self, p, stop, end, offset, reason, mode);
         }
     }
@@ -435,6 +296,8 @@ CANSER_INLINE uint32_t count_ticks(int64_t ts, int64_t tick_ns)
                                              : ts / tick_ns;
     return (uint32_t)(ticks - (ts < ticks * tick_ns));
 }
+
+#if HAS_PLAIN
 
 /* Where a run of plain frames to send stopped. */
 typedef struct {
@@ -476,6 +339,8 @@ CANSER_NOINLINE emit_stop put_plain(const canser_frame *frame, const canser_fram
     return emit_loop(frame, until, tick_ns, out);
 }
 
+#endif
+
 /* Why the format cannot carry a frame: CANSER_REFUSAL_*, NONE where it can. */
 static int refuse(const canser_frame *frame)
 {
@@ -500,12 +365,14 @@ static void encode(const canser_frame *frames, size_t frame_count, int64_t tick_
         const canser_frame *const until = frame + (left < room ? left : room);
 
         do {
+#if HAS_PLAIN
             const emit_stop at = put_plain(frame, until, tick_ns, out);
 
             frame = at.frame;
             out = at.out;
             if (frame == until)
                 break;
+#endif
             refusal = refuse(frame);
             if (refusal)
                 break;

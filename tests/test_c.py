@@ -1,7 +1,6 @@
 """What is tested in C: every short string, guard pages around all memory, the fuzz target.
 
-Each program is built twice: with sanitizers, where the compiler has them, and optimised. The
-form without vectors, which other machines take, has its turn, too.
+Each program is built twice: optimised, and with sanitizers where the compiler has them.
 """
 
 import os
@@ -19,13 +18,13 @@ import vectors
 from long import LONG, takes_long
 
 HERE = Path(__file__).parent
-SOURCES = sorted((HERE.parent / "csrc").glob("*.c"))
+CORE = HERE.parent / "csrc"
+SOURCES = sorted(CORE.rglob("*.c"))
 SHARED = [HERE / "c" / "plain.c", HERE / "c" / "drive.c"]
 
 COMPILER = shlex.split(os.environ.get("CC") or "cc")
 
 FAST = ["-O2"]
-PORTABLE = [*FAST, "-DCANSER_PORTABLE"]
 DEBUG = ["-g", "-O1"]
 SANITIZED = [*DEBUG, "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
@@ -56,7 +55,7 @@ def build(program: Path, *arguments: str | Path) -> Path:
 
 def build_test(folder: Path, name: str, *flags: str) -> Path:
     sources = [HERE / "c" / f"{name}.c", *SHARED, *SOURCES]
-    return build(folder / name, *flags, f"-I{SOURCES[0].parent}", *sources)
+    return build(folder / name, *flags, f"-I{CORE}", *sources)
 
 
 def assert_all_pass(output: str) -> None:
@@ -89,15 +88,6 @@ def test_short_strings_sanitized(tmp_path: Path, debug_flags: list[str]) -> None
     assert_all_pass(run(build_test(tmp_path, "cases", *debug_flags), SHORT))
 
 
-def test_short_strings_without_vectors(tmp_path: Path) -> None:
-    assert_all_pass(run(build_test(tmp_path, "cases", *PORTABLE), SHORT))
-
-
-@takes_long
-def test_guard_pages_without_vectors(tmp_path: Path) -> None:
-    assert_all_pass(run(build_test(tmp_path, "guard", *PORTABLE)))
-
-
 def test_guard_pages(tmp_path: Path) -> None:
     assert_all_pass(run(build_test(tmp_path, "guard", *FAST)))
 
@@ -114,6 +104,21 @@ def test_blocks_of_recordings(tmp_path: Path) -> None:
 @takes_long
 def test_blocks_of_recordings_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
     assert_all_pass(run(build_test(tmp_path, "recording", *debug_flags)))
+
+
+def test_a_protocol_of_long_packets(tmp_path: Path, debug_flags: list[str]) -> None:
+    sources: list[str | Path] = [f"-I{CORE}", HERE / "c" / "long.c", *SOURCES]
+
+    def rows(longest: int) -> str:
+        return (
+            f"-DCANSER_PROTOCOLS(ROW)=ROW(cantalope, 10) ROW(long40, {longest}) "
+            "ROW(seeed, 20) ROW(serial, 19)"
+        )
+
+    assert_all_pass(run(build(tmp_path / "long", *debug_flags, rows(40), *sources)))
+    # A row that says less than is so does not get as far.
+    with pytest.raises(AssertionError, match="how long packets are"):
+        build(tmp_path / "short", rows(39), *sources)
 
 
 @takes_long

@@ -16,7 +16,7 @@
  *   frame ends there, else dlc bytes later. Written without payload.
  * - The unit of the timestamp is not in the stream; the caller names it.
  */
-#include "vector.h"
+#include "protocol.h"
 
 enum { START = 0xAA, END = 0xBB, LEAD = 5, HEADER = 10 };
 
@@ -96,43 +96,6 @@ CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *fr
     return true;
 }
 
-#if CANSER_VECTOR
-
-enum { SURVEY_REST = CANSER_REJECT_MARKER };
-
-/* Whether the end mark is there, behind a good start mark and dlc; without a branch,
- * which nobody could predict. */
-CANSER_INLINE bool has_end(const uint8_t *p)
-{
-    const unsigned rtr = p[9] >> (BIT_RTR - 24) & 1;
-    return (p[HEADER + p[5]] == END) | (rtr & (p[HEADER] == END));
-}
-
-CANSER_INLINE surveyed survey(const uint8_t *p, const bool exact)
-{
-    const uint64_t start = survey_equal(p, START);
-    if (!start)
-        return (surveyed){0};
-    const uint64_t good = start & survey_at_most(p + 5, 0xFF, DLC_MAX);
-    if (!exact || !good)
-        return (surveyed){.open = good, .dlc = start & ~good};
-    const survey_marks ends = survey_find(p + HEADER, END);
-    const uint64_t near = good & survey_near(ends, DLC_MAX);
-    uint64_t open = 0;
-    if (count_bits(near) <= SURVEY_FEW) {
-        for (uint64_t left = near; left; left &= left - 1)
-            open |= has_end(p + lowest_bit(left)) ? left & (0 - left) : 0;
-    } else {
-        const uint64_t dlc[4] = {survey_has(p + 5, 0), survey_has(p + 5, 1), survey_has(p + 5, 2),
-                                 survey_has(p + 5, 3)};
-        const uint64_t rtr = survey_has(p + 9, BIT_RTR - 24);
-        open = near & (survey_ahead_by(ends, dlc, DLC_MAX) | (rtr & ends.low));
-    }
-    return (surveyed){.open = open, .dlc = start & ~good, .end = good & ~open};
-}
-
-#endif
-
 /* A store for each field: shifts to join them cost more. */
 CANSER_INLINE uint8_t *emit_fields(uint32_t raw, size_t dlc, uint32_t id, const uint8_t *payload,
                                    size_t payload_len, uint8_t *out)
@@ -162,11 +125,15 @@ CANSER_INLINE uint8_t *emit(const canser_frame *frame, uint32_t raw, uint8_t *ou
     return emit_fields(raw, frame->dlc, frame->id | flags, frame->data, rtr ? 0 : frame->dlc, out);
 }
 
-#define HAS_CLOCK 1
-#define HAS_EXT   1
-#define HAS_ERR   1
-#define FRAME_MIN (HEADER + 1)
-#define FRAME_MAX (HEADER + DLC_MAX + 1)
+#define NAME       serial
+#define START_MARK START
+#define HAS_CLOCK  1
+#define HAS_EXT    1
+#define HAS_ERR    1
+#define HAS_PLAIN  1
+#define FRAME_MIN  (HEADER + 1)
+#define FRAME_MAX  (HEADER + DLC_MAX + 1)
+#define PACKET_MAX FRAME_MAX
 #include "scan.h"
 
 static const struct canser_codec codec = {.scan = scan, .encode = encode, .refuse = refuse};

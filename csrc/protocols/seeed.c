@@ -40,7 +40,7 @@
  * - The four zeros of a configuration are a "manual bitrate config, details unknown" to
  *   python-can: where they are not zero nobody knows what is configured.
  */
-#include "vector.h"
+#include "protocol.h"
 
 enum { START = 0xAA, END = 0x55, LEAD = 1, FIXED = 0x55, FIXED_LEN = 20, FIXED_FRAME = 0x01 };
 enum {
@@ -185,102 +185,6 @@ CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *fr
     return true;
 }
 
-#if CANSER_VECTOR
-
-enum { SURVEY_REST = CANSER_REJECT_MARKER };
-
-/* Where the sum of a fixed packet holds. */
-CANSER_INLINE vec fixed_sums(const uint8_t *p)
-{
-    vec sum = vec_load(p + 2);
-    for (int i = 3; i < FIXED_LEN - 1; i++)
-        sum = vec_add(sum, vec_load(p + i));
-    return vec_equal(sum, vec_load(p + FIXED_LEN - 1));
-}
-
-/* Where the fields of a fixed frame are in range. */
-CANSER_INLINE vec fixed_fields(const uint8_t *p)
-{
-    const vec zero = vec_fill(0), one = vec_fill(1), two = vec_fill(2);
-    const vec kind = vec_load(p + 3), form = vec_load(p + 4);
-    const vec ext_id = vec_at_most(vec_load(p + 8), vec_fill(ID_EXT_MAX >> 24));
-    const vec std_id = vec_and(vec_at_most(vec_load(p + 6), vec_fill(ID_STD_MAX >> 8)),
-                               vec_equal(vec_or(vec_load(p + 7), vec_load(p + 8)), zero));
-    const vec id =
-        vec_or(vec_and(vec_equal(kind, one), std_id), vec_and(vec_equal(kind, two), ext_id));
-    const vec dlc = vec_at_most(vec_load(p + 9), vec_fill(DLC_MAX));
-    return vec_and(vec_and(id, dlc), vec_or(vec_equal(form, one), vec_equal(form, two)));
-}
-
-/* What stands behind the marks of fixed packets, which hardly any stream is full of. */
-CANSER_NOINLINE surveyed survey_fixed(const uint8_t *p, uint64_t fixed)
-{
-    const uint64_t sum =
-        fixed & vec_bits(fixed_sums(p), fixed_sums(p + 16), fixed_sums(p + 32), fixed_sums(p + 48));
-    const uint64_t frames = sum ? sum & survey_equal(p + 2, FIXED_FRAME) : 0;
-    const uint64_t field = frames ? frames & ~vec_bits(fixed_fields(p), fixed_fields(p + 16),
-                                                       fixed_fields(p + 32), fixed_fields(p + 48))
-                                  : 0;
-    return (surveyed){.open = sum & ~field, .sum = fixed & ~sum, .field = field};
-}
-
-/* Whether the end mark is there, behind a good start mark, type and id; without a branch,
- * which nobody could predict. */
-CANSER_INLINE bool has_end(const uint8_t *p)
-{
-    const unsigned type = p[1], rtr = type >> 4 & 1, header = 4 + (type >> 4 & 2);
-    return (p[header + (type & TYPE_DLC)] == END) | (rtr & (p[header] == END));
-}
-
-CANSER_INLINE surveyed survey(const uint8_t *p, const bool exact)
-{
-    enum { MORE_MAX = 2 + DLC_MAX };
-    const uint64_t start = survey_equal(p, START);
-    if (!start)
-        return (surveyed){0};
-    const uint64_t fixed = start & survey_equal(p + 1, FIXED);
-    const uint64_t typed = start & ~survey_at_most(p + 1, 0xFF, TYPE_MARK - 1);
-    const uint64_t none = start & ~fixed & ~typed;
-    if (!exact)
-        return (surveyed){.open = fixed | typed, .type = none};
-    surveyed seen = {0};
-    if (fixed)
-        seen = survey_fixed(p, fixed);
-    seen.type = none;
-    if (!typed)
-        return seen;
-
-    const uint64_t ext = survey_has(p + 1, 5);
-    const uint64_t std_id = survey_at_most(p + 3, 0xFF, ID_STD_MAX >> 8);
-    const uint64_t ext_id = survey_at_most(p + 5, 0xFF, ID_EXT_MAX >> 24);
-    const uint64_t good_dlc = typed & survey_at_most(p + 1, TYPE_DLC, DLC_MAX);
-    const uint64_t good = good_dlc & survey_choose(ext, std_id, ext_id);
-    /* From where the end mark is in the shortest frame. */
-    const survey_marks ends = survey_find(p + 4, END);
-    const uint64_t near = good & survey_near(ends, MORE_MAX);
-    uint64_t open = 0;
-    if (count_bits(near) <= SURVEY_FEW) {
-        for (uint64_t left = near; left; left &= left - 1)
-            open |= has_end(p + lowest_bit(left)) ? left & (0 - left) : 0;
-    } else {
-        const uint64_t dlc[4] = {survey_has(p + 1, 0), survey_has(p + 1, 1), survey_has(p + 1, 2),
-                                 survey_has(p + 1, 3)};
-        /* It is as many bytes further on as dlc and twice ext add up to. */
-        const uint64_t carry = dlc[1] & ext;
-        const uint64_t more[4] = {dlc[0], dlc[1] ^ ext, dlc[2] ^ carry, dlc[3] | (dlc[2] & carry)};
-        const uint64_t rtr = survey_has(p + 1, 4);
-        open = near & (survey_ahead_by(ends, more, MORE_MAX) |
-                       (rtr & survey_choose(ext, ends.low, survey_ahead(ends, 2))));
-    }
-    seen.open |= open;
-    seen.dlc = typed & ~good_dlc;
-    seen.id = good_dlc & ~good;
-    seen.end = good & ~open;
-    return seen;
-}
-
-#endif
-
 /* `lead`: the start mark and the type, in one store: with one for each a frame takes a
  * tenth longer. */
 CANSER_INLINE uint8_t *emit_fields(const uint8_t *lead, uint32_t id, size_t ext, size_t dlc,
@@ -319,11 +223,15 @@ CANSER_INLINE uint8_t *emit(const canser_frame *frame, uint32_t raw, uint8_t *ou
     return emit_fields(lead, frame->id, ext, frame->dlc, rtr ? zeros : frame->data, out);
 }
 
-#define HAS_CLOCK 0
-#define HAS_EXT   1
-#define HAS_ERR   0
-#define FRAME_MIN 5
-#define FRAME_MAX FIXED_LEN
+#define NAME       seeed
+#define START_MARK START
+#define HAS_CLOCK  0
+#define HAS_EXT    1
+#define HAS_ERR    0
+#define HAS_PLAIN  1
+#define FRAME_MIN  5
+#define FRAME_MAX  FIXED_LEN
+#define PACKET_MAX FIXED_LEN
 #include "scan.h"
 
 /* Commands of control packets. */

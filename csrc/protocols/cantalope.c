@@ -16,7 +16,7 @@
  * - Commands other than 00 and 01 have lengths that nobody wrote down: rejected.
  * - Standard ids only, no error frames, no timestamp.
  */
-#include "vector.h"
+#include "protocol.h"
 
 enum {
     LEAD = 1,
@@ -76,22 +76,6 @@ CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *fr
     return true;
 }
 
-#if CANSER_VECTOR
-
-enum { SURVEY_REST = CANSER_REJECT_DLC };
-
-CANSER_INLINE surveyed survey(const uint8_t *p, const bool exact)
-{
-    (void)exact;
-    const uint64_t dlc = survey_at_most(p + 1, 0x0F, DLC_MAX);
-    const uint64_t marks = survey_equal(p, COMMAND);
-    const uint64_t command = marks & (marks >> 1 | (uint64_t)(p[SURVEY] == COMMAND) << 63);
-    const uint64_t known = command ? survey_at_most(p + 2, 0xFF, ERROR_REPORT) : 0;
-    return (surveyed){.open = dlc | (command & known), .command = command & ~known};
-}
-
-#endif
-
 CANSER_INLINE uint8_t *emit_fields(uint32_t id, unsigned rtr, size_t dlc, const uint8_t *payload,
                                    uint8_t *out)
 {
@@ -119,11 +103,14 @@ CANSER_INLINE uint8_t *emit(const canser_frame *frame, uint32_t raw, uint8_t *ou
     return emit_fields(frame->id, rtr, frame->dlc, rtr ? zeros : frame->data, out);
 }
 
-#define HAS_CLOCK 0
-#define HAS_EXT   0
-#define HAS_ERR   0
-#define FRAME_MIN HEADER
-#define FRAME_MAX (HEADER + DLC_MAX)
+#define NAME       cantalope
+#define HAS_CLOCK  0
+#define HAS_EXT    0
+#define HAS_ERR    0
+#define HAS_PLAIN  1
+#define FRAME_MIN  HEADER
+#define FRAME_MAX  (HEADER + DLC_MAX)
+#define PACKET_MAX FRAME_MAX
 #include "scan.h"
 
 static void explain(const uint8_t *p, canser_report *report)
