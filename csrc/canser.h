@@ -264,8 +264,8 @@ enum {
     CANSER_TIMING_SILENCE = 3, /* the next frame comes after a silence */
 };
 
-/* How the frames of one stream get their times. Zero it, and set the first fields; those
- * marked so may be set between any two calls. */
+/* How the frames of one stream get their times. Zero it, and set the fields that are not private;
+ * those marked "any time" may be set between any two calls. */
 typedef struct {
     int64_t tick_ns;      /* the unit of the device's times, at most INT32_MAX; 0: it sends none */
     uint8_t keeps_device; /* 1: frames keep the device's time, but for its turn */
@@ -464,8 +464,8 @@ int canser_configure(const canser_protocol *protocol, const canser_config *confi
 int canser_explain(const canser_protocol *protocol, const uint8_t *packet, size_t len,
                    canser_report *report);
 
-/* Set the times of frames[*done..count), the next ones of a stream, in place; `*done` goes on with
- * those that have them.
+/* Set the times of frames[*done..count), the next ones of a stream, in place. `*done` is raised as
+ * frames get them.
  *
  * at[i] is the stream offset of a frame's first byte where the device sends times, else the one
  * behind its last byte: the first or the last byte is the one that counts. It came with the first
@@ -491,10 +491,10 @@ int canser_explain(const canser_protocol *protocol, const uint8_t *packet, size_
  * are enough or their room is full, and so it does before the first frame after a silence. The
  * caller changes what it learns, and calls again with the rest.
  *
- * Pieces and offsets are in ascending order, and no piece has 2^32 bytes, else the times are of no
- * use. What comes out does
- * not depend on how frames are cut into calls. Returns CANSER_OK; CANSER_NULL (also for no
- * pieces), CANSER_MISALIGNED, CANSER_TICK or CANSER_RANGE before anything is written. */
+ * Pieces and offsets are in ascending order, no piece has 2^32 bytes, and no device has run for
+ * 2^63 nanoseconds, else the times are of no use. What comes out does not depend on how frames
+ * are cut into calls. Returns CANSER_OK; CANSER_NULL (also for no pieces), CANSER_MISALIGNED,
+ * CANSER_TICK or CANSER_RANGE before anything is written. */
 int canser_timing_assign(canser_timing *self, const canser_piece *pieces, size_t piece_count,
                          const int64_t *at, canser_frame *frames, size_t count, size_t *done);
 

@@ -14,17 +14,16 @@
  *               they arrive, so that a reject and its reason never depend on
  *               how many bytes are there. Writes `frame` (all but ts) and `raw`
  *               (the device timestamp) only where it finds a frame.
- *   HAS_PLAIN   1 if it has the fast forms: probe_plain(), begin_plain() and emit_plain()
- *   probe_plain()  as probe(), for the frames that a bus is full of, where a whole
- *               window is there: true, with `p` behind the frame, or false if
- *               probe() must tell. `lead` is the byte that tells the length of
- *               the frame at `p`: loaded one frame ahead, as all waits for it.
- *               May write what it is given at any time.
- *   begin_plain()  the first `lead`; false if no plain frame starts at `p`
  *   emit()      one frame to the wire; returns the place behind it, never over
  *               SCAN_WINDOW bytes on, and may write so many. `raw` is the device
  *               timestamp to send.
- *   emit_plain()  the same for a frame that take_apart() let pass.
+ *   HAS_PLAIN   1 if it has fast forms for the frames that a bus is full of, else 0:
+ *   probe_plain()  as probe(), where a whole window is there: true, with `p` behind the
+ *               frame, or false if probe() must tell. `lead` is the byte that tells the
+ *               length of the frame at `p`: loaded one frame ahead, as all waits for it.
+ *               May write what it is given at any time.
+ *   begin_plain()  the first `lead`; false if no plain frame starts at `p`
+ *   emit_plain()   as emit(), for a frame that take_apart() let pass.
  */
 #include "clock.h"
 
