@@ -10,8 +10,9 @@ BUILT  := setup.py pyproject.toml $(wildcard csrc/* csrc/protocols/*)
 demo: $(VENV)/.built ## make captures of a simulated adapter, decode them, print a table
 	$(BIN)/python examples/demo.py
 
+# Hundreds of tests start the command: so its modules are compiled once, and kept.
 test: $(VENV)/.test ## run the tests; many wait for others, so four at a time, on two cores too
-	$(BIN)/python -m pytest -n 4 --dist worksteal
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 4 --dist worksteal
 
 lint: $(VENV)/.lint ## run the linters
 	$(BIN)/ruff check .
