@@ -16,7 +16,7 @@ from reference import RECORD, Control, Result, Stats, unpack
 # No deadline: a shared machine is late now and then. In CI the same examples every time, so that
 # a failure there is never the luck of the draw.
 hypothesis.settings.register_profile(
-    "canser", deadline=None, max_examples=60, derandomize=bool(os.environ.get("CI"))
+    "canser", deadline=None, max_examples=80, derandomize=bool(os.environ.get("CI"))
 )
 hypothesis.settings.load_profile("canser")
 

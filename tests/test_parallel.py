@@ -275,7 +275,7 @@ def assert_is_what_the_reference_says(
 def test_any_number_of_threads_and_any_borders(protocol: str) -> None:
     tally: Counter[str] = Counter()
 
-    @settings(max_examples=80)
+    @settings(max_examples=120)
     @given(recipes, worsts, st.integers(2, 16), st.sampled_from(sorted(TICK_NS)), st.data())
     def judge(recipe: Recipe, worst: Worst, threads: int, unit: str, data: st.DataObject) -> None:
         stream = recipe.stream(protocol)

@@ -33,7 +33,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminal
 PATIENCE = 60
 
 PROTOCOLS = canser.protocols()
-FRAMES = vehicle(1, extended=False)
+FRAMES = vehicle(2, extended=False)
 
 
 class Host:
