@@ -56,14 +56,7 @@ union canser_longest {
 /* Between the two cffi lines stands what Python binds, declared only here. */
 /* cffi: begin */
 
-/* The frames in which a chunk's clock must settle to be joined. */
-#define CANSER_SETTLE_MAX 64
-
-/* The longest that a byte may take on a line: 5 bits a second. */
-#define CANSER_BYTE_NS_MAX 2000000000
-
-/* Of so many frames of a piece all but one may be false, and its sample is a true one. */
-#define CANSER_LEAST_LATE 3
+/* ---- For any program: decode, encode, configure an adapter, understand its packets. */
 
 /* Status codes: the caller's mistakes, found before a byte is touched. */
 enum {
@@ -211,6 +204,193 @@ typedef struct {
     canser_config config;    /* CONFIGURATION */
 } canser_report;
 
+/* The state of one stream. Lives in the caller's memory, may be copied, holds
+ * no pointer into the caller's buffers. Fields are the library's own. */
+typedef struct {
+    const canser_protocol *protocol;
+    canser_clock clock;
+    canser_stats stats;
+    uint64_t skip_end; /* stream offset behind the last skipped byte */
+    uint8_t carry_len;
+    uint8_t carry[CANSER_PACKET_MAX]; /* the start of a packet that is not whole yet */
+} canser_decoder;
+
+/* Where a call puts what it finds. The caller sets the arrays and their
+ * capacities and owns them; each call sets the two counts. */
+typedef struct {
+    canser_frame *frames;
+    size_t frame_cap;
+    int64_t *offsets;         /* stream offset of each frame, frame_cap long; or NULL */
+    int64_t *ends;            /* stream offset behind each, as long; or NULL */
+    canser_control *controls; /* or NULL: control packets are counted, not kept */
+    size_t control_cap;
+    size_t frame_count;
+    size_t control_count;
+} canser_batch;
+
+/* What canser_encode did. */
+typedef struct {
+    size_t frame_count; /* frames encoded: the index of the frame that stopped it */
+    size_t byte_count;  /* bytes written */
+    int refusal;        /* CANSER_REFUSAL_*; NONE unless the status is REFUSED */
+} canser_encoded;
+
+/* The protocol at an index of the table, in the order of the names; NULL past
+ * the last one. Lives as long as the program. */
+const canser_protocol *canser_protocol_at(size_t index);
+
+/* The name of a reject reason: one lower-case word, constant. NULL if there is
+ * no such reason. */
+const char *canser_reject_name(int reason);
+
+/* What a refusal says and its remedy: one phrase, constant. NULL if there is no
+ * such refusal. */
+const char *canser_refusal_text(int refusal);
+
+/* What frames are called that are refused for a reason, where they are counted: a plural,
+ * constant. NULL if there is no such refusal. */
+const char *canser_refusal_name(int refusal);
+
+/* The name of a mode, and of a kind of control packets: lower case, constant. NULL
+ * if there is none such. */
+const char *canser_mode_name(int mode);
+const char *canser_control_name(int kind);
+
+/* Start a stream: all counters zero, nothing held, the clock not started.
+ * `tick_ns` is the unit of the device's timestamps in nanoseconds; a protocol
+ * without a clock does not use it. Returns CANSER_OK, CANSER_NULL or CANSER_TICK. */
+int canser_decoder_init(canser_decoder *self, const canser_protocol *protocol, int64_t tick_ns);
+
+/* Decode the next bytes of the stream into `batch`.
+ *
+ * Takes all of `data`, unless an array of the batch is full first: then `*used`
+ * is less than `data_len`, and the caller calls again with the rest. A packet
+ * that is not whole at the end is held and counts as taken. Reads nothing
+ * outside data[0..data_len), writes nothing at or past a capacity, and rows
+ * past a count are left as they were. With frame_cap 0 nothing is taken.
+ *
+ * Returns CANSER_OK; on CANSER_NULL, CANSER_MISALIGNED and CANSER_OVERLAP
+ * nothing was taken and the decoder is unchanged. `data` may be NULL if
+ * `data_len` is 0. `*used` and the counts of the batch are set on every
+ * return on which the pointers to them are not NULL. */
+int canser_decoder_feed(canser_decoder *self, const uint8_t *data, size_t data_len,
+                        canser_batch *batch, size_t *used);
+
+/* End the stream: a candidate that lacks bytes is a reject, and what is held is
+ * scanned to its end. Call again while carry_len is not 0: an array of the
+ * batch was full. Feeding afterwards goes on with the same counters and
+ * offsets. Returns as canser_decoder_feed. */
+int canser_decoder_flush(canser_decoder *self, canser_batch *batch);
+
+/* Encode frames into `out`, one packet behind the other.
+ *
+ * Stops before the first frame that does not fit; frame_max bytes for each
+ * frame are always enough. Payload past the dlc and the data of a remote frame
+ * are not sent. The time goes out in ticks of `tick_ns`, rounded down, modulo
+ * 2^32 as a device's counter wraps; a protocol without a clock sends none.
+ * Bytes of `out` past byte_count may have been written over.
+ *
+ * Returns CANSER_OK; CANSER_REFUSED at a frame the format cannot carry, with
+ * its index in result->frame_count, why in result->refusal (one of the reasons,
+ * if there are several), and all frames before it written; CANSER_NULL,
+ * CANSER_TICK, CANSER_MISALIGNED and CANSER_OVERLAP before anything was written. */
+int canser_encode(const canser_protocol *protocol, int64_t tick_ns, const canser_frame *frames,
+                  size_t frame_count, uint8_t *out, size_t out_cap, canser_encoded *result);
+
+/* Tell of each of some frames why the format cannot carry it, as canser_encode() would:
+ * refusals[i] is CANSER_REFUSAL_*, NONE where it can; CANSER_REFUSAL_TIME only where there is
+ * no other reason.
+ *
+ * Returns CANSER_OK; CANSER_NULL, CANSER_MISALIGNED and CANSER_OVERLAP before anything was
+ * written. `refusals` has room for `frame_count`; it and `frames` may be NULL if that is 0. */
+int canser_refuse(const canser_protocol *protocol, const canser_frame *frames, size_t frame_count,
+                  uint8_t *refusals);
+
+/* Make the packet that configures an adapter. Any flag but 0 counts as 1.
+ *
+ * Returns CANSER_OK; CANSER_NULL; CANSER_UNABLE where the row has no bit rates;
+ * CANSER_RANGE for a bit rate that is none of them, no mode, or a filter or mask over
+ * 0x1FFFFFFF. `*packet` is set on every return on which it is not NULL, to none after
+ * an error. */
+int canser_configure(const canser_protocol *protocol, const canser_config *config,
+                     canser_packet *packet);
+
+/* Tell what a control packet means: `len` bytes that are one, as a decoder gave it.
+ *
+ * The same bytes mean the same in both directions: a request for the status reads as
+ * a status without errors. What the format leaves open is CANSER_CONTROL_OTHER: unknown
+ * commands, and configurations with a value that canser_configure() never sends, but
+ * for filter and mask, of which all 32 bits are told.
+ *
+ * Returns CANSER_OK; CANSER_NULL; CANSER_NO_CONTROL where the bytes are a frame, noise,
+ * cut, or more than one packet. `*report` is set on every return on which it is not NULL,
+ * to OTHER after an error. */
+int canser_explain(const canser_protocol *protocol, const uint8_t *packet, size_t len,
+                   canser_report *report);
+
+/* ---- For the binding, and programs that do as much: parts of a stream by several threads, host
+ * times, recordings, one decoder for several threads. */
+
+/* The frames in which a chunk's clock must settle to be joined. */
+#define CANSER_SETTLE_MAX 64
+
+/* The longest that a byte may take on a line: 5 bits a second. */
+#define CANSER_BYTE_NS_MAX 2000000000
+
+/* Of so many frames of a piece all but one may be false, and its sample is a true one. */
+#define CANSER_LEAST_LATE 3
+
+/* A stretch of a stream that was decoded before anybody knew where its first packet
+ * starts: from a guess, to be joined to all that lies before it. That is how several
+ * threads decode one stream. Lives in the caller's memory; fields are the library's
+ * own but for the three that say so. */
+typedef struct {
+    uint64_t begin;      /* for the caller: the stream offset at which it starts, a guess */
+    uint64_t end;        /* for the caller: the stream offset behind it */
+    size_t frame_count;  /* for the caller: its frames */
+    canser_decoder tale; /* what it did, as a stream of its own */
+    uint8_t skips_first; /* 1: no packet starts at `begin` */
+    size_t settled;      /* joined: so many frames have their times */
+    int64_t shift;       /* joined: nanoseconds to add to the times of the others */
+    uint32_t raws[CANSER_SETTLE_MAX]; /* device timestamps of the first frames */
+} canser_chunk;
+
+/* Decode the packets and skip the bytes that start in data[0..stop), and hold
+ * nothing: what starts there but ends behind it is taken whole, and nothing is taken
+ * of the last bytes of `data`, where a packet may not be whole. So the caller may go
+ * on at data[*used]. Otherwise, and in what it returns, as canser_decoder_feed; bytes
+ * that are still held are taken first, if `data` completes them. */
+int canser_decoder_advance(canser_decoder *self, const uint8_t *data, size_t data_len, size_t stop,
+                           canser_batch *batch, size_t *used);
+
+/* Decode what starts in data[first..stop) of a stream whose offset at data[0] is
+ * `offset`, from a guess where the first packet starts: a scan that begins some way
+ * before `first` mostly falls into step on the way. Ends early where an array of the
+ * batch is full, and before the last bytes of `data`, as canser_decoder_advance.
+ *
+ * The frames and offsets are in the batch, but not the times: canser_chunk_deliver()
+ * makes them when the chunk is joined. Returns CANSER_OK, or CANSER_NULL, CANSER_TICK,
+ * CANSER_MISALIGNED or CANSER_OVERLAP before anything is done; an array without room is
+ * CANSER_NULL, too. */
+int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, int64_t tick_ns,
+                        const uint8_t *data, size_t data_len, size_t first, size_t stop,
+                        uint64_t offset, canser_batch *batch);
+
+/* Join a chunk to the stream: counters, clock, and the place where it stands, as if
+ * `self` had decoded those bytes. `frames` are the chunk's; the first few get their times
+ * here. Takes the same time for any number of frames. Returns CANSER_OK; CANSER_NULL;
+ * CANSER_APART, and nothing was changed, if the stream does not stand at chunk->begin,
+ * holds bytes, is of another protocol or unit, or if the device clock leaps so often that
+ * it cannot be told what it does in the chunk. */
+int canser_decoder_join(canser_decoder *self, canser_chunk *chunk, canser_frame *frames);
+
+/* Copy frames[first..first + frame_count) of a joined chunk to `out`, with their times.
+ * Where they lie there already they get their times; otherwise the two must not overlap.
+ * Works on its own arguments alone: meanwhile the stream may go on. Returns CANSER_OK or
+ * CANSER_NULL. */
+int canser_chunk_deliver(const canser_chunk *self, canser_frame *frames, size_t first,
+                         size_t frame_count, canser_frame *out);
+
 /* The bytes of one read of a port, behind those of the read before. */
 typedef struct {
     int64_t end; /* stream offset behind them */
@@ -288,181 +468,6 @@ typedef struct {
     int64_t arrived;              /* when the last frame had come */
     int64_t latest;               /* no host time lies before this one */
 } canser_timing;
-
-/* The state of one stream. Lives in the caller's memory, may be copied, holds
- * no pointer into the caller's buffers. Fields are the library's own. */
-typedef struct {
-    const canser_protocol *protocol;
-    canser_clock clock;
-    canser_stats stats;
-    uint64_t skip_end; /* stream offset behind the last skipped byte */
-    uint8_t carry_len;
-    uint8_t carry[CANSER_PACKET_MAX]; /* the start of a packet that is not whole yet */
-} canser_decoder;
-
-/* Where a call puts what it finds. The caller sets the arrays and their
- * capacities and owns them; each call sets the two counts. */
-typedef struct {
-    canser_frame *frames;
-    size_t frame_cap;
-    int64_t *offsets;         /* stream offset of each frame, frame_cap long; or NULL */
-    int64_t *ends;            /* stream offset behind each, as long; or NULL */
-    canser_control *controls; /* or NULL: control packets are counted, not kept */
-    size_t control_cap;
-    size_t frame_count;
-    size_t control_count;
-} canser_batch;
-
-/* A stretch of a stream that was decoded before anybody knew where its first packet
- * starts: from a guess, to be joined to all that lies before it. That is how several
- * threads decode one stream. Lives in the caller's memory; fields are the library's
- * own but for the three that say so. */
-typedef struct {
-    uint64_t begin;      /* for the caller: the stream offset at which it starts, a guess */
-    uint64_t end;        /* for the caller: the stream offset behind it */
-    size_t frame_count;  /* for the caller: its frames */
-    canser_decoder tale; /* what it did, as a stream of its own */
-    uint8_t skips_first; /* 1: no packet starts at `begin` */
-    size_t settled;      /* joined: so many frames have their times */
-    int64_t shift;       /* joined: nanoseconds to add to the times of the others */
-    uint32_t raws[CANSER_SETTLE_MAX]; /* device timestamps of the first frames */
-} canser_chunk;
-
-/* What canser_encode did. */
-typedef struct {
-    size_t frame_count; /* frames encoded: the index of the frame that stopped it */
-    size_t byte_count;  /* bytes written */
-    int refusal;        /* CANSER_REFUSAL_*; NONE unless the status is REFUSED */
-} canser_encoded;
-
-/* The protocol at an index of the table, in the order of the names; NULL past
- * the last one. Lives as long as the program. */
-const canser_protocol *canser_protocol_at(size_t index);
-
-/* The name of a reject reason: one lower-case word, constant. NULL if there is
- * no such reason. */
-const char *canser_reject_name(int reason);
-
-/* What a refusal says and its remedy: one phrase, constant. NULL if there is no
- * such refusal. */
-const char *canser_refusal_text(int refusal);
-
-/* What frames are called that are refused for a reason, where they are counted: a plural,
- * constant. NULL if there is no such refusal. */
-const char *canser_refusal_name(int refusal);
-
-/* The name of a mode, and of a kind of control packets: lower case, constant. NULL
- * if there is none such. */
-const char *canser_mode_name(int mode);
-const char *canser_control_name(int kind);
-
-/* Start a stream: all counters zero, nothing held, the clock not started.
- * `tick_ns` is the unit of the device's timestamps in nanoseconds; a protocol
- * without a clock does not use it. Returns CANSER_OK, CANSER_NULL or CANSER_TICK. */
-int canser_decoder_init(canser_decoder *self, const canser_protocol *protocol, int64_t tick_ns);
-
-/* Decode the next bytes of the stream into `batch`.
- *
- * Takes all of `data`, unless an array of the batch is full first: then `*used`
- * is less than `data_len`, and the caller calls again with the rest. A packet
- * that is not whole at the end is held and counts as taken. Reads nothing
- * outside data[0..data_len), writes nothing at or past a capacity, and rows
- * past a count are left as they were. With frame_cap 0 nothing is taken.
- *
- * Returns CANSER_OK; on CANSER_NULL, CANSER_MISALIGNED and CANSER_OVERLAP
- * nothing was taken and the decoder is unchanged. `data` may be NULL if
- * `data_len` is 0. `*used` and the counts of the batch are set on every
- * return on which the pointers to them are not NULL. */
-int canser_decoder_feed(canser_decoder *self, const uint8_t *data, size_t data_len,
-                        canser_batch *batch, size_t *used);
-
-/* Decode the packets and skip the bytes that start in data[0..stop), and hold
- * nothing: what starts there but ends behind it is taken whole, and nothing is taken
- * of the last bytes of `data`, where a packet may not be whole. So the caller may go
- * on at data[*used]. Otherwise, and in what it returns, as canser_decoder_feed; bytes
- * that are still held are taken first, if `data` completes them. */
-int canser_decoder_advance(canser_decoder *self, const uint8_t *data, size_t data_len, size_t stop,
-                           canser_batch *batch, size_t *used);
-
-/* Decode what starts in data[first..stop) of a stream whose offset at data[0] is
- * `offset`, from a guess where the first packet starts: a scan that begins some way
- * before `first` mostly falls into step on the way. Ends early where an array of the
- * batch is full, and before the last bytes of `data`, as canser_decoder_advance.
- *
- * The frames and offsets are in the batch, but not the times: canser_chunk_deliver()
- * makes them when the chunk is joined. Returns CANSER_OK, or CANSER_NULL, CANSER_TICK,
- * CANSER_MISALIGNED or CANSER_OVERLAP before anything is done; an array without room is
- * CANSER_NULL, too. */
-int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, int64_t tick_ns,
-                        const uint8_t *data, size_t data_len, size_t first, size_t stop,
-                        uint64_t offset, canser_batch *batch);
-
-/* Join a chunk to the stream: counters, clock, and the place where it stands, as if
- * `self` had decoded those bytes. `frames` are the chunk's; the first few get their times
- * here. Takes the same time for any number of frames. Returns CANSER_OK; CANSER_NULL;
- * CANSER_APART, and nothing was changed, if the stream does not stand at chunk->begin,
- * holds bytes, is of another protocol or unit, or if the device clock leaps so often that
- * it cannot be told what it does in the chunk. */
-int canser_decoder_join(canser_decoder *self, canser_chunk *chunk, canser_frame *frames);
-
-/* Copy frames[first..first + frame_count) of a joined chunk to `out`, with their times.
- * Where they lie there already they get their times; otherwise the two must not overlap.
- * Works on its own arguments alone: meanwhile the stream may go on. Returns CANSER_OK or
- * CANSER_NULL. */
-int canser_chunk_deliver(const canser_chunk *self, canser_frame *frames, size_t first,
-                         size_t frame_count, canser_frame *out);
-
-/* End the stream: a candidate that lacks bytes is a reject, and what is held is
- * scanned to its end. Call again while carry_len is not 0: an array of the
- * batch was full. Feeding afterwards goes on with the same counters and
- * offsets. Returns as canser_decoder_feed. */
-int canser_decoder_flush(canser_decoder *self, canser_batch *batch);
-
-/* Encode frames into `out`, one packet behind the other.
- *
- * Stops before the first frame that does not fit; frame_max bytes for each
- * frame are always enough. Payload past the dlc and the data of a remote frame
- * are not sent. The time goes out in ticks of `tick_ns`, rounded down, modulo
- * 2^32 as a device's counter wraps; a protocol without a clock sends none.
- * Bytes of `out` past byte_count may have been written over.
- *
- * Returns CANSER_OK; CANSER_REFUSED at a frame the format cannot carry, with
- * its index in result->frame_count, why in result->refusal (one of the reasons,
- * if there are several), and all frames before it written; CANSER_NULL,
- * CANSER_TICK, CANSER_MISALIGNED and CANSER_OVERLAP before anything was written. */
-int canser_encode(const canser_protocol *protocol, int64_t tick_ns, const canser_frame *frames,
-                  size_t frame_count, uint8_t *out, size_t out_cap, canser_encoded *result);
-
-/* Tell of each of some frames why the format cannot carry it, as canser_encode() would:
- * refusals[i] is CANSER_REFUSAL_*, NONE where it can; CANSER_REFUSAL_TIME only where there is
- * no other reason.
- *
- * Returns CANSER_OK; CANSER_NULL, CANSER_MISALIGNED and CANSER_OVERLAP before anything was
- * written. `refusals` has room for `frame_count`; it and `frames` may be NULL if that is 0. */
-int canser_refuse(const canser_protocol *protocol, const canser_frame *frames, size_t frame_count,
-                  uint8_t *refusals);
-
-/* Make the packet that configures an adapter. Any flag but 0 counts as 1.
- *
- * Returns CANSER_OK; CANSER_NULL; CANSER_UNABLE where the row has no bit rates;
- * CANSER_RANGE for a bit rate that is none of them, no mode, or a filter or mask over
- * 0x1FFFFFFF. `*packet` is set on every return on which it is not NULL, to none after
- * an error. */
-int canser_configure(const canser_protocol *protocol, const canser_config *config,
-                     canser_packet *packet);
-
-/* Tell what a control packet means: `len` bytes that are one, as a decoder gave it.
- *
- * The same bytes mean the same in both directions: a request for the status reads as
- * a status without errors. What the format leaves open is CANSER_CONTROL_OTHER: unknown
- * commands, and configurations with a value that canser_configure() never sends, but
- * for filter and mask, of which all 32 bits are told.
- *
- * Returns CANSER_OK; CANSER_NULL; CANSER_NO_CONTROL where the bytes are a frame, noise,
- * cut, or more than one packet. `*report` is set on every return on which it is not NULL,
- * to OTHER after an error. */
-int canser_explain(const canser_protocol *protocol, const uint8_t *packet, size_t len,
-                   canser_report *report);
 
 /* Set the times of frames[*done..count), the next ones of a stream, in place. `*done` is raised as
  * frames get them.
