@@ -539,6 +539,48 @@ int canser_recording_gather(canser_recording *self, const uint8_t *data, size_t 
                             uint8_t *out, size_t out_cap, canser_piece *pieces, size_t piece_cap,
                             canser_gathered *result);
 
+/* A decoder that several threads may use, for a caller in whose language each call is dear. While
+ * one works on it, the others are told so, and must try again. */
+typedef struct {
+    canser_decoder decoder; /* for whom canser_stream_take() has let in, and to look at */
+    uint8_t
+        keeps_controls; /* for the caller: 1: canser_stream_feed() leaves control packets to it */
+    uint32_t taken;     /* private: who works on it */
+} canser_stream;
+
+/* More bytes than these are not taken by one small call: others may wait for it. */
+#define CANSER_SMALL_MAX 1048576
+
+/* Take the stream; calls with its decoder are the caller's alone until canser_stream_release().
+ * Returns 1, or 0 where somebody else has it. */
+int canser_stream_take(canser_stream *self);
+
+/* Give back what canser_stream_take() took, if it did. */
+void canser_stream_release(canser_stream *self);
+
+/* Arrays to decode into, as in a canser_batch; a small call changes nothing here. */
+typedef struct {
+    canser_frame *frames;
+    size_t frame_cap;
+    int64_t *offsets;
+    int64_t *ends;
+} canser_target;
+
+/* Decode the next bytes of a stream, as canser_decoder_feed().
+ *
+ * All or nothing. Returns the number of frames; where `frames` is full, 2^32 for each byte that was
+ * not taken on top. Returns -1, and nothing is changed but rows of the arrays, where another call
+ * is needed to tell why, or to do it: the stream is taken; an argument is wrong; there are over
+ * CANSER_SMALL_MAX bytes; a control packet is among them that must be kept. */
+int64_t canser_stream_feed(canser_stream *self, const uint8_t *data, size_t data_len,
+                           const canser_target *target);
+
+/* Decode a whole stream. Returns the number of frames, and 2^32 for each skipped byte on top; -1
+ * where an argument is wrong, there are over CANSER_SMALL_MAX bytes, or `frames` has become full.
+ */
+int64_t canser_decode_small(const canser_protocol *protocol, int64_t tick_ns, const uint8_t *data,
+                            size_t data_len, canser_frame *frames, size_t frame_cap);
+
 /* cffi: end */
 
 #ifdef __cplusplus

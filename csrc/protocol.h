@@ -23,7 +23,13 @@ CANSER_PROTOCOLS(CANSER_DECLARE)
 /* The value as it is, of which the compiler knows nothing: a sum stays in the
  * order in which it is written. */
 #define CANSER_OPAQUE(x) __asm__("" : "+r"(x))
+/* One step of all threads, a barrier for what lies around it: whether `*p`, of 32 bits, was `from`
+ * and now is `to`. */
+#define CANSER_COMPARE_EXCHANGE(p, from, to) __sync_bool_compare_and_swap((p), (from), (to))
 #elif defined(_MSC_VER)
+#include <intrin.h>
+#define CANSER_COMPARE_EXCHANGE(p, from, to)                                                       \
+    (_InterlockedCompareExchange((volatile long *)(p), (long)(to), (long)(from)) == (long)(from))
 #define CANSER_INLINE            static __forceinline
 #define CANSER_NOINLINE          static __declspec(noinline)
 #define CANSER_COLD              static __declspec(noinline)

@@ -106,6 +106,23 @@ def test_blocks_of_recordings_sanitized(tmp_path: Path, debug_flags: list[str]) 
     assert_all_pass(run(build_test(tmp_path, "recording", *debug_flags)))
 
 
+def test_small_calls(tmp_path: Path) -> None:
+    assert_all_pass(run(build_test(tmp_path, "small", *FAST, "-pthread")))
+
+
+@takes_long
+def test_small_calls_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    assert_all_pass(run(build_test(tmp_path, "small", *debug_flags, "-pthread")))
+
+
+@takes_long
+def test_threads_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    if debug_flags is not SANITIZED:
+        pytest.skip("the compiler has no sanitizers")
+    flags = [*DEBUG, "-fsanitize=thread", "-pthread"]
+    assert_all_pass(run(build_test(tmp_path, "small", *flags)))
+
+
 def test_a_protocol_of_long_packets(tmp_path: Path, debug_flags: list[str]) -> None:
     sources: list[str | Path] = [f"-I{CORE}", HERE / "c" / "long.c", *SOURCES]
 
