@@ -715,6 +715,71 @@ def test_two_threads_on_one_decoder_lose_nothing() -> None:
     assert sum(counts) == decoder.stats.frames == 4 * 300 * 40
 
 
+def test_a_thread_waits_for_another_one_and_a_handler_in_its_own_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    decoder = canser.Decoder("serial")
+    packet = canser.encode(SOME[:1], "serial")
+    working, done = threading.Event(), threading.Event()
+    real = decoder._stream.flush
+    refused: list[str] = []
+    found: list[int] = []
+
+    def flush() -> int:
+        # What a signal handler does that interrupts this thread here.
+        for call in (
+            lambda: decoder.feed(packet),
+            lambda: decoder.feed_into(packet, np.empty(9, FRAME_DTYPE)),
+            lambda: decoder.stats,
+            decoder.reset,
+            decoder.take_controls,
+            decoder.flush,
+        ):
+            with pytest.raises(RuntimeError, match="use a Decoder of its own in the handler"):
+                call()
+            refused.append("")
+        working.set()
+        assert done.wait(30)
+        return real()
+
+    monkeypatch.setattr(decoder._stream, "flush", flush)
+    decoder.feed(packet[:-1])
+    held = threading.Thread(target=decoder.flush)
+    held.start()
+    assert working.wait(30)
+    others = [
+        threading.Thread(target=lambda: found.append(len(decoder.feed(packet)))),
+        threading.Thread(target=lambda: found.append(decoder.feed(packet * 9).size)),
+        threading.Thread(target=lambda: found.append(decoder.stats.frames * 0)),
+    ]
+    for other in others:
+        other.start()
+    others[0].join(0.05)
+    assert not found  # they wait
+    done.set()
+    for thread in [held, *others]:
+        thread.join(30)
+    assert len(refused) == 6
+    assert sorted(found) == [0, 1, 9]
+    assert decoder.stats.frames == 10
+    assert decoder.stats.bytes_skipped == len(packet) - 1
+
+
+def test_an_exception_leaves_a_decoder_that_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    decoder = canser.Decoder("serial")
+    packet = canser.encode(SOME[:1], "serial")
+
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(decoder._stream, "counters", interrupt)
+        for _ in range(2):
+            with pytest.raises(KeyboardInterrupt):
+                decoder.stats  # noqa: B018
+    assert len(decoder.feed(packet)) == decoder.stats.frames == 1
+
+
 def test_the_gil_is_free_while_c_works() -> None:
     # While one thread decodes, another one's Python runs: it sees the work unfinished.
     raw = np.frombuffer(line_noise(RAW["serial"] * 2000), np.uint8)

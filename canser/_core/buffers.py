@@ -1,6 +1,7 @@
 """Memory of the caller as pointers for C: checked, never copied; and statuses as exceptions."""
 
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +48,9 @@ def _check_bytes(data: BytesLike) -> memoryview:
             "data is not contiguous; pass a contiguous buffer, such as np.ascontiguousarray(data)"
         )
     return view
+
+
+NULL: Final[Pointer] = ffi.NULL
 
 
 def input_bytes(data: BytesLike) -> Pointer:
@@ -120,8 +124,26 @@ def output_room(
 
     They hold nothing: the caller holds the arrays.
     """
-    at = ffi.NULL if offsets is None else ffi.from_buffer("int64_t[]", offsets) + count
+    at = NULL if offsets is None else ffi.from_buffer("int64_t[]", offsets) + count
     return ffi.from_buffer("canser_frame[]", out) + count, len(out) - count, at
+
+
+# Made once: a type that is named is looked up in each call.
+_TARGET: Final = ffi.typeof("canser_target *")
+
+
+def check_output(out: FrameArray, offsets: Offsets | None) -> Pointer:
+    """Return a target that is these arrays, checked; it does not hold them."""
+    return ffi.new(_TARGET, (output_frames(out), len(out), output_offsets(offsets, len(out))))
+
+
+def is_same(
+    offsets: Offsets | None, last: Callable[[], Offsets | None] | None, frame_cap: int
+) -> bool:
+    """Return whether these are the offsets that were checked last, and nothing has changed."""
+    if offsets is None or last is None:
+        return offsets is None and last is None
+    return offsets is last() and len(offsets) >= frame_cap and offsets.flags.writeable
 
 
 class FrameRoom:
@@ -136,6 +158,7 @@ class FrameRoom:
         self.offsets_at = output_offsets(offsets, len(frames))
         self.ends_at = output_offsets(ends, len(frames))
         self.timed_at = ffi.new("size_t *")
+        self._target = ffi.new(_TARGET)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -149,14 +172,15 @@ class FrameRoom:
     def timed(self, count: int) -> None:
         self.timed_at[0] = count
 
-    def between(self, count: int, most: int) -> tuple[Pointer, int, Pointer, Pointer]:
-        """Return where frames go behind the first `count`, until there are `most`."""
-        return (
-            self.frames_at + count,
-            most - count,
-            self.offsets_at if self.offsets is None else self.offsets_at + count,
-            self.ends_at if self.ends is None else self.ends_at + count,
-        )
+    def between(self, count: int, most: int) -> Pointer:
+        """Return as a target, good until the next call, room behind `count` frames up to `most`."""
+        target = self._target
+        target.frames, target.frame_cap = self.frames_at + count, most - count
+        if self.offsets is not None:
+            target.offsets = self.offsets_at + count
+        if self.ends is not None:
+            target.ends = self.ends_at + count
+        return target
 
 
 def output_bytes(out: npt.NDArray[np.uint8]) -> Pointer:

@@ -1,19 +1,32 @@
 """One stream in C, and the stretches of it that other threads decode ahead."""
 
+import threading
+import time
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
-from weakref import ref
+from typing import Any, Final, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from canser._core._lib import ffi, lib
-from canser._core.buffers import Offsets, Pointer, output_frames, output_offsets, raise_status
-from canser._core.table import REJECT_NAMES, Protocol, row_of
+from canser._core.buffers import Pointer, raise_status
+from canser._core.table import PROTOCOLS, REJECT_NAMES, Protocol, row_of
 from canser._frames import FRAME_DTYPE, FrameArray, copy_records
+
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
 
 # The bytes behind a packet's first one without which it is not taken.
 BEHIND: Final = int(lib.CANSER_BEHIND)
+
+# Up to so many bytes are decoded by one small call into a new array: reads of a port.
+SMALL_MOST: Final = 4096
+_SMALL_FRAMES: Final = (SMALL_MOST + BEHIND) // min(row.frame_min for row in PROTOCOLS.values()) + 1
+
+# What a small call returns: up to this the frames, all bytes being taken; see `Stream.feed_small`.
+FRAMES_MOST: Final = 2**32 - 1
+
+_FRAME_SIZE: Final = FRAME_DTYPE.itemsize
 
 # How many control packets C may leave before it must ask for room again.
 _CONTROL_CAP: Final = 1024
@@ -35,72 +48,84 @@ assert ffi.offsetof("canser_batch", "control_count") == (_FOUND_WORD + 1) * ffi.
 assert _BATCH_WORDS == _FOUND_WORD + 2
 
 
-def _nothing() -> None:
-    """Stand in for a reference to no array."""
-
-
 class Stream:
     """The state of one stream in C, with room for its control packets.
 
-    Without `keeps_controls` there is no such room: they are counted, not kept. Not safe for
-    two threads: its owner takes a lock.
+    Without `keeps_controls` there is no such room: they are counted, not kept. `feed_small` is
+    safe for several threads; what else changes the state is called by `alone`, but for an owner
+    that has only one thread.
+
+    `feed_small(shared, data, data_len, target)` is canser_stream_feed: it decodes up to 1 MiB, and
+    returns the number of frames. Over FRAMES_MOST: the target is full, and so many times 2**32
+    bytes are left. -1: nothing was done; `feed` will do it, or tell what is wrong.
     """
 
     def __init__(self, protocol: Protocol, tick_ns: int, *, keeps_controls: bool = True) -> None:
         self.protocol = protocol
         self._tick_ns = tick_ns
-        self._state = ffi.new("canser_decoder *")
+        self.shared = ffi.new("canser_stream *", {"keeps_controls": keeps_controls})
+        self._keeps_controls = keeps_controls
+        self._state = ffi.addressof(self.shared, "decoder")
         self.counters_now = self._state.stats  # canser_stats
+        self.feed_small: Callable[..., int] = lib.canser_stream_feed
+        # For all but `feed_small`. Reentrant: so a signal handler is refused, and does not wait
+        # for the thread that it has interrupted.
+        self._lock = threading.RLock()
+        self._working = False
         # The batch and the bytes used, in one piece: what a call has found is read at
         # once, for each read costs as much as the decoding of some frames.
         self._memory = ffi.new("size_t[]", _BATCH_WORDS + 1)
         self._batch = ffi.cast("canser_batch *", self._memory)
         self._used = self._memory + _BATCH_WORDS
         self._found = self._memory + _FOUND_WORD
-        if keeps_controls:
-            self._controls = np.empty(_CONTROL_CAP, _CONTROL_DTYPE)
-            self._batch.controls = self._controls_at = ffi.from_buffer(
-                "canser_control[]", self._controls
-            )
-            self._batch.control_cap = _CONTROL_CAP
-        # Where the last call's frames went; no reference holds the arrays.
-        self._out: Callable[[], object] = _nothing
-        self._offsets: Callable[[], object] = _nothing
-        self._cap = self._offset_cap = 0
         self.reset()
 
-    def set_output(self, out: FrameArray, offsets: Offsets | None) -> None:
-        """Check the arrays that frames and offsets go to.
+    def alone(
+        self,
+        work: Callable[_Arguments, _Result],
+        *args: _Arguments.args,
+        **kwargs: _Arguments.kwargs,
+    ) -> _Result:
+        """Return what `work` returns, while no other thread changes the state.
 
-        Callers usually pass the same arrays again. Then only what can have changed (length,
-        writability) is checked, and the pointer is reused: a tenth of the time.
+        RuntimeError where this thread does so already: in a signal handler.
         """
-        # A reference to an array that is gone gives None, which may be what is asked for.
-        if (
-            out is not None
-            and out is self._out()
-            and len(out) == self._cap
-            and out.flags.writeable
-            and (
-                not self._offset_cap
-                if offsets is None
-                else offsets is self._offsets()
-                and offsets.flags.writeable
-                and len(offsets) == self._offset_cap
-            )
-        ):
-            return
-        self.aim_at(output_frames(out), len(out), output_offsets(offsets, len(out)))
-        self._out, self._cap = ref(out), len(out)
-        if offsets is not None:
-            self._offsets, self._offset_cap = ref(offsets), len(offsets)
+        with self._lock:
+            if self._working:
+                raise RuntimeError(
+                    "this decoder is at work in the same thread, which a signal handler has "
+                    "interrupted; use a Decoder of its own in the handler"
+                )
+            try:
+                self._working = True
+                # A small call of another thread may be under way: at most 1 MiB.
+                while not lib.canser_stream_take(self.shared):
+                    time.sleep(0)
+                return work(*args, **kwargs)
+            finally:
+                self._working = False
+                lib.canser_stream_release(self.shared)
+
+    def feed_to_new(self, data: bytes) -> FrameArray | None:
+        """Decode up to SMALL_MOST bytes into a new array; None: nothing was done, as above."""
+        room = _take_room()
+        found = self.feed_small(self.shared, data, len(data), room[1])
+        return None if found < 0 else _copy(room, found)
 
     def aim_at(self, out: Pointer, cap: int, at: Pointer, ends: Pointer = ffi.NULL) -> None:
         """Tell where frames, offsets and ends go by pointers, which must stay good."""
         batch = self._batch
         batch.frames, batch.frame_cap, batch.offsets, batch.ends = out, cap, at, ends
-        self._out = self._offsets = _nothing
-        self._offset_cap = 0
+        if self._keeps_controls and not batch.controls:
+            self._controls = np.empty(_CONTROL_CAP, _CONTROL_DTYPE)
+            batch.controls = ffi.from_buffer("canser_control[]", self._controls)
+            batch.control_cap = _CONTROL_CAP
+
+    def aim_at_target(self, target: Pointer, count: int) -> None:
+        """Tell that frames go into a target behind the first `count`."""
+        at = target.offsets and target.offsets + count
+        ends = target.ends and target.ends + count
+        self.aim_at(target.frames + count, target.frame_cap - count, at, ends)
 
     def reset(self) -> None:
         """Start anew: counters zero, nothing held, the clock not started."""
@@ -143,7 +168,7 @@ class Stream:
         return int(self._batch.frame_count)
 
     def controls(self) -> npt.NDArray[np.void] | None:
-        """Return a copy of the control packets of the last call, None for none."""
+        """Return a copy of the control packets of the last call but a small one, None for none."""
         found = self._batch.control_count
         return copy_records(self._controls[:found]) if found else None
 
@@ -237,3 +262,34 @@ class ParallelChunk:
 def unpack_controls(rows: npt.NDArray[np.void]) -> list[Control]:
     """Return control packets as Python values."""
     return [Control(int(row["offset"]), row["bytes"][: row["len"]].tobytes()) for row in rows]
+
+
+# Rooms that are free, with targets for them: one for each thread that has needed one. To copy
+# frames from there takes a third of the time in which an array is made for the most frames and
+# then cut.
+_free_rooms: Final[list[tuple[Pointer, Pointer]]] = []
+
+
+def _take_room() -> tuple[Pointer, Pointer]:
+    try:
+        return _free_rooms.pop()
+    except IndexError:
+        frames = ffi.new("canser_frame[]", _SMALL_FRAMES)
+        return frames, ffi.new("canser_target *", (frames, _SMALL_FRAMES))
+
+
+def _copy(room: tuple[Pointer, Pointer], count: int) -> FrameArray:
+    """Return the first frames of a room in a new array; the room is free again."""
+    frames = np.empty(count, FRAME_DTYPE)
+    ffi.memmove(frames, room[0], count * _FRAME_SIZE)
+    _free_rooms.append(room)
+    return frames
+
+
+def decode_small(protocol: Protocol, tick_ns: int, data: bytes) -> tuple[FrameArray, int]:
+    """Decode up to SMALL_MOST bytes to their end; return the frames, and the skipped bytes."""
+    room = _take_room()
+    row = row_of(protocol)
+    found = lib.canser_decode_small(row, tick_ns, data, len(data), room[0], _SMALL_FRAMES)
+    assert found >= 0
+    return _copy(room, found & FRAMES_MOST), found >> 32

@@ -103,6 +103,10 @@ REFUSAL_TIME: Final = int(lib.CANSER_REFUSAL_TIME)
 
 def find_protocol(name: str) -> Protocol:
     """Return the protocol of a name or accepted spelling, in any case, or raise."""
+    try:
+        return _SPELLINGS[name]
+    except (KeyError, TypeError):  # no name as it is written in the table
+        pass
     if not isinstance(name, str):
         raise TypeError(f"protocol must be a name such as 'serial', not {type_name(name)}")
     try:

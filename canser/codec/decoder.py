@@ -1,29 +1,39 @@
 """Decoding and encoding without I/O: `Decoder` for a stream, `decode` and `encode` for a whole."""
 
 import operator
-import threading
 import warnings
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, overload
+from typing import Any, TypeVar, overload
+from weakref import ref
 
 import numpy as np
 import numpy.typing as npt
 
 from canser._core.buffers import (
+    NULL,
     BytesLike,
     FrameRoom,
     Offsets,
     Pointer,
+    check_output,
     input_bytes,
     input_frames,
+    is_same,
     output_frames,
     output_offsets,
-    output_room,
 )
 from canser._core.packets import encode_into
-from canser._core.stream import Control, ParallelChunk, Stream, unpack_controls
+from canser._core.stream import (
+    FRAMES_MOST,
+    SMALL_MOST,
+    Control,
+    ParallelChunk,
+    Stream,
+    decode_small,
+    unpack_controls,
+)
 from canser._core.table import find_protocol
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser._guards import ReadOnlyDict, Uncopied
@@ -34,6 +44,9 @@ from canser.codec.sinks import FixedArray, GrowingArray, Sink
 from canser.errors import CanserWarning
 
 __all__ = ["Control", "Decoder", "Encoder", "Stats", "decode", "encode"]
+
+_Array = TypeVar("_Array")
+_Ref = Callable[[], _Array | None]
 
 # A decoder keeps this many control packets that no caller has taken: 2 MiB, an
 # hour and more of pings ten times a second.
@@ -98,7 +111,8 @@ class Decoder(Uncopied):
     the host's time: there neither happens.
 
     Sans-I/O. It does not matter how the stream is cut. Two threads may share a
-    decoder: they wait for each other. C works without the GIL, so decoders in
+    decoder: they wait for each other. A signal handler may not, if it interrupts a call in its
+    own thread: it gets a RuntimeError, and nothing is changed. C works without the GIL, so decoders in
     several threads run in parallel. A decoder cannot be copied or pickled.
     """
 
@@ -108,8 +122,14 @@ class Decoder(Uncopied):
         self._protocol = find_protocol(protocol)
         self._ts_unit = ts_unit
         self._stream = Stream(self._protocol, tick_ns(ts_unit), keeps_controls=self._keeps_controls)
-        # Reentrant: `run_ahead` takes it step by step, also for those that hold it.
-        self._lock = threading.RLock()
+        # At hand, as each look costs as much as some frames.
+        self._feed_small, self._shared = self._stream.feed_small, self._stream.shared
+        self._alone = self._stream.alone
+        # The last arrays of the caller's, checked and not held: `out`, its length, both as a
+        # target, and `offsets`. The same ones come again mostly: then only what can have changed
+        # is asked for. In one piece, so that it is of one call.
+        self._output: tuple[_Ref[FrameArray], int, Pointer, _Ref[Offsets] | None]
+        self._output = (lambda: None, 0, NULL, None)
         self._controls: deque[npt.NDArray[np.void]] = deque()
         self._controls_held = 0
         self._controls_dropped = 0
@@ -135,9 +155,12 @@ class Decoder(Uncopied):
         packet that is not whole is held (`pending`). TypeError, BufferError for
         data that is no contiguous buffer of bytes.
         """
-        source = input_bytes(data)
-        with self._lock:
-            return self._collect(source, ends=False)
+        source = data if type(data) is bytes else input_bytes(data)
+        if len(source) <= SMALL_MOST:
+            frames = self._stream.feed_to_new(source)
+            if frames is not None:
+                return frames
+        return self._alone(self._collect, input_bytes(data), ends=False)
 
     def feed_into(
         self, data: BytesLike, out: FrameArray, offsets: Offsets | None = None
@@ -156,13 +179,27 @@ class Decoder(Uncopied):
         not contiguous. After an error nothing was taken.
         """
         source = data if type(data) is bytes else input_bytes(data)
-        stream = self._stream
-        with self._lock:
-            stream.set_output(out, offsets)
-            count, controls, used = stream.feed(source, len(source))
-            if controls:
-                return self._feed_on(input_bytes(data), out, offsets, used, count)
-        return used, count
+        size = len(source)
+        last, cap, target, last_offsets = self._output
+        if (
+            out is not last()
+            or out is None  # which an array that is gone is, too
+            or len(out) != cap
+            or not out.flags.writeable
+            or (
+                (offsets is not None or last_offsets is not None)
+                and not is_same(offsets, last_offsets, cap)
+            )
+        ):
+            target = check_output(out, offsets)
+            self._output = ref(out), len(out), target, None if offsets is None else ref(offsets)
+        found = self._feed_small(self._shared, source, size, target)
+        left = found >> 32
+        if not left:
+            return size, found
+        if left > 0:
+            return size - left, found & FRAMES_MOST
+        return self._alone(self._feed_to, input_bytes(data), size, target)
 
     def flush(self) -> FrameArray:
         """End the stream: scan what is held; return the last frames.
@@ -171,8 +208,7 @@ class Decoder(Uncopied):
         array of FRAME_DTYPE. Feeding may go on afterwards, as after a gap: counters,
         offsets and clock go on.
         """
-        with self._lock:
-            return self._collect(input_bytes(b""), ends=True)
+        return self._alone(self._collect, input_bytes(b""), ends=True)
 
     def flush_into(self, out: FrameArray, offsets: Offsets | None = None) -> int:
         """End the stream as `flush` does, into `out`; return the number of frames.
@@ -180,12 +216,7 @@ class Decoder(Uncopied):
         Call again while `pending` is not 0: `out` was full. `out`, `offsets` and
         errors as in `feed_into`.
         """
-        with self._lock:
-            self._stream.set_output(out, offsets)
-            # The bytes held are fewer than the room for control packets.
-            count = self._stream.flush()
-            self._keep_controls()
-        return count
+        return self._alone(self._flush_to, check_output(out, offsets))
 
     def feed_room(
         self, source: Pointer, source_len: int, room: FrameRoom, count: int, most: int
@@ -195,38 +226,26 @@ class Decoder(Uncopied):
         For this package's own use. Returns the bytes used; `counters.frames` tells how many frames
         came, whatever exception ends this.
         """
-        used = 0
-        with self._lock:
-            while used < source_len and count < most:
-                self._stream.aim_at(*room.between(count, most))
-                more_count, controls, more = self._stream.feed(source + used, source_len - used)
-                count += more_count
-                used += more
-                if not controls:
-                    break
-                self._keep_controls()
+        target = room.between(count, most)
+        found = self._feed_small(self._shared, source, source_len, target)
+        if found >= 0:
+            return source_len - (found >> 32)
+        used, _ = self._alone(self._feed_to, source, source_len, target)
         return used
 
     def flush_room(self, room: FrameRoom, count: int, most: int) -> None:
         """End the stream as `flush_into` does, into room as `feed_room`."""
-        with self._lock:
-            while self._stream.pending and count < most:
-                self._stream.aim_at(*room.between(count, most))
-                count += self._stream.flush()
-                self._keep_controls()
+        while self._stream.pending and count < most:
+            count += self._alone(self._flush_to, room.between(count, most))
 
     def reset(self) -> None:
         """Forget everything: counters zero, nothing held, no control packets."""
-        with self._lock:
-            self._stream.reset()
-            self._controls.clear()
-            self._controls_held = self._controls_dropped = 0
+        self._alone(self._reset)
 
     @property
     def stats(self) -> Stats:
         """The counters as they are now."""
-        with self._lock:
-            return Stats(**self._stream.counters())
+        return Stats(**self._alone(self._stream.counters))
 
     @property
     def position(self) -> int:
@@ -259,10 +278,7 @@ class Decoder(Uncopied):
         `Stats.controls` counts them all. Of those that no caller takes, the newest 65,536
         are kept, and `controls_dropped` counts the others.
         """
-        with self._lock:
-            batches = list(self._controls)
-            self._controls.clear()
-            self._controls_held = 0
+        batches = self._alone(self._hand_over_controls)
         return [control for rows in batches for control in unpack_controls(rows)]
 
     @property
@@ -270,16 +286,41 @@ class Decoder(Uncopied):
         """Control packets that were not taken in time, and are counted only."""
         return self._controls_dropped
 
-    def _feed_on(
-        self, source: Pointer, out: FrameArray, offsets: Offsets | None, used: int, count: int
-    ) -> tuple[int, int]:
-        """Go on after control packets, whose room may have been full; the lock is held."""
-        while self._keep_controls() and used < len(source) and count < len(out):
-            self._stream.aim_at(*output_room(out, count, offsets))
-            more_count, _, more_used = self._stream.feed(source + used, len(source) - used)
-            used += more_used
+    # What follows, but for what says otherwise, is done alone.
+
+    def _reset(self) -> None:
+        self._stream.reset()
+        self._controls.clear()
+        self._controls_held = self._controls_dropped = 0
+
+    def _hand_over_controls(self) -> list[npt.NDArray[np.void]]:
+        batches = list(self._controls)
+        self._controls.clear()
+        self._controls_held = 0
+        return batches
+
+    def _feed_to(self, source: Pointer, source_len: int, target: Pointer) -> tuple[int, int]:
+        """Decode into a target; return the bytes used and the frames."""
+        used = count = 0
+        while True:
+            self._stream.aim_at_target(target, count)
+            more_count, controls, more = self._stream.feed(source + used, source_len - used)
+            used += more
             count += more_count
-        return used, count
+            # What is left is so for want of room, if not of that for control packets.
+            if not controls:
+                return used, count
+            self._keep_controls()
+            if used == source_len or count == target.frame_cap:
+                return used, count
+
+    def _flush_to(self, target: Pointer) -> int:
+        """End the stream into a target; return the frames."""
+        self._stream.aim_at_target(target, 0)
+        # The bytes held are fewer than the room for control packets.
+        count = self._stream.flush()
+        self._keep_controls()
+        return count
 
     def _keep_controls(self, chunk: ParallelChunk | None = None) -> bool:
         """Keep what the last call, or a chunk, has found; True if there is anything."""
@@ -317,8 +358,7 @@ class Decoder(Uncopied):
         Returns the frames that are there, and those that it needs room for.
         """
         sink = FixedArray(self.make_chunk, out, offsets)
-        with self._lock:
-            self._run(source, sink, ends=True, threads=threads)
+        self._alone(self._run, source, sink, ends=True, threads=threads)
         return min(sink.count, len(out)), sink.count
 
     def _run(self, source: Pointer, sink: Sink, *, ends: bool, threads: int = 1) -> None:
@@ -326,7 +366,7 @@ class Decoder(Uncopied):
         used = 0
         if threads > 1:
             start = self._stream.position
-            for _ in self.run_ahead(source, sink, threads):
+            for _ in self._run_ahead(source, sink, threads, _call):
                 pass
             used = self._stream.position - start
         while used < len(source):
@@ -345,37 +385,52 @@ class Decoder(Uncopied):
         """Decode all of `source` but its last bytes by several threads, into a sink.
 
         For this package's own use, and for a stream that holds nothing. Yields whenever the
-        sink may be emptied; the lock is not held then. RuntimeError if another caller has
-        fed or reset the decoder meanwhile: its stream would not be that of `source` any more.
+        sink may be emptied; other threads may use the decoder then. RuntimeError if one has
+        fed or reset it meanwhile: its stream would not be that of `source` any more.
         """
+        return self._run_ahead(source, sink, threads, self._alone)
+
+    def _run_ahead(
+        self, source: Pointer, sink: Sink, threads: int, call: Callable[..., bool]
+    ) -> Iterator[None]:
+        """Run ahead by steps, each of which `call` does alone."""
         stream, start, source_len = self._stream, self._stream.position, len(source)
-        stretch, expected = start, start
+        stretch = expected = start
+
+        def step(stretches: Iterator[int | ParallelChunk]) -> bool:
+            nonlocal stretch, expected
+            if stream.position != expected or stream.pending:
+                raise RuntimeError(
+                    "the decoder was fed or reset while its blocks were being decoded; "
+                    "use a Decoder of its own"
+                )
+            if expected >= stretch:
+                item = next(stretches, None)
+                if item is None:
+                    return False
+                if isinstance(item, ParallelChunk):
+                    self._keep_controls(item)
+                    ahead.deliver(sink.place(item))
+                else:
+                    stretch = item
+            if expected < stretch:
+                done = expected - start
+                stream.aim_at(*sink.room())
+                count = stream.advance(source + done, source_len - done, stretch - expected)
+                self._keep_controls()
+                sink.wrote(count)
+            expected = stream.position
+            return True
+
         with Ahead(stream, source, source_len, sink.chunk, threads) as ahead:
             stretches = iter(ahead)
-            while True:
-                with self._lock:
-                    if stream.position != expected or stream.pending:
-                        raise RuntimeError(
-                            "the decoder was fed or reset while its blocks were being decoded; "
-                            "use a Decoder of its own"
-                        )
-                    if expected >= stretch:
-                        item = next(stretches, None)
-                        if item is None:
-                            return
-                        if isinstance(item, ParallelChunk):
-                            self._keep_controls(item)
-                            ahead.deliver(sink.place(item))
-                        else:
-                            stretch = item
-                    if expected < stretch:
-                        done = expected - start
-                        stream.aim_at(*sink.room())
-                        count = stream.advance(source + done, source_len - done, stretch - expected)
-                        self._keep_controls()
-                        sink.wrote(count)
-                    expected = stream.position
+            while call(step, stretches):
                 yield
+
+
+def _call(work: Callable[..., bool], *args: object) -> bool:
+    """Do what is done alone already."""
+    return work(*args)
 
 
 class _OneShot(Decoder):
@@ -409,18 +464,31 @@ def decode(
     ValueError if `out` or `offsets` is too small, with the number that is needed;
     other errors as for `Decoder.feed_into`. For the counters use a `Decoder`.
     """
-    threads = check_threads(threads)
+    if type(threads) is not int or threads != 1:
+        threads = check_threads(threads)
+    # Threads are of no use for what is small.
+    if type(data) is bytes and len(data) <= SMALL_MOST and out is None and offsets is None:
+        row = find_protocol(protocol)
+        frames, skipped = decode_small(row, tick_ns(ts_unit), data)
+        if skipped and not as_is:
+            _warn_of_doubt(row.name, len(data), skipped)
+        return frames
     decoder = _OneShot(protocol, ts_unit=ts_unit)
     frames = decode_with(decoder, data, out=out, offsets=offsets, threads=threads)
-    if not as_is and is_doubtful(decoder.protocol, decoder.position, decoder.skipped):
+    if not as_is:
+        _warn_of_doubt(decoder.protocol, decoder.position, decoder.skipped)
+    return frames
+
+
+def _warn_of_doubt(protocol: str, bytes_in: int, skipped: int) -> None:
+    if is_doubtful(protocol, bytes_in, skipped):
         warnings.warn(
-            f"{decoder.skipped / decoder.position:.0%} of the {decoder.position:,} bytes are in no "
-            f"{decoder.protocol} packet; canser.identify tells which protocol fits, and "
+            f"{skipped / bytes_in:.0%} of the {bytes_in:,} bytes are in no "
+            f"{protocol} packet; canser.identify tells which protocol fits, and "
             "as_is=True accepts them",
             CanserWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
-    return frames
 
 
 def decode_with(
@@ -466,10 +534,9 @@ def decode_pieces(
         output_offsets(offsets, 0)
         room = np.empty(len(offsets), FRAME_DTYPE)
         sink = FixedArray(decoder.make_chunk, room, offsets)
-    with decoder._lock:
-        for piece in pieces:
-            decoder._run(input_bytes(piece), sink, ends=False)
-        decoder._run(input_bytes(b""), sink, ends=True)
+    for piece in pieces:
+        decoder._alone(decoder._run, input_bytes(piece), sink, ends=False)
+    decoder._alone(decoder._run, input_bytes(b""), sink, ends=True)
     if isinstance(sink, GrowingArray):
         return sink.result()
     _check_room("offsets", len(room), sink.count)
