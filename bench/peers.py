@@ -8,6 +8,7 @@ import argparse
 import functools
 import importlib
 import io
+import struct
 import time
 from collections.abc import Callable, Sequence
 from types import SimpleNamespace
@@ -57,6 +58,24 @@ _LANES, _LANE_BYTES, _WARM_BYTES = 2000, 1200, 120
 # glibc hands large arrays back to the system, and numpy's temporaries would cost a page
 # fault every 4 KiB in every call. Once a block of this size is freed it keeps them.
 np.empty(30 << 20, np.uint8)
+
+
+_SERIAL_HEAD = struct.Struct("<BIBI")
+
+
+def struct_serial(raw: bytes) -> list[tuple[int, int, bytes]]:
+    """Decode `serial` by a loop as it is written by hand: a tuple for each frame."""
+    frames = []
+    pos = 0
+    while pos + 11 <= len(raw):
+        start, time_ms, dlc, number = _SERIAL_HEAD.unpack_from(raw, pos)
+        end = pos + 10 + dlc
+        if start != _START or dlc > 8 or end >= len(raw) or raw[end] != _SERIAL_END:
+            pos += 1
+            continue
+        frames.append((time_ms, number, raw[pos + 10 : end]))
+        pos = end + 1
+    return frames
 
 
 def numpy_serial(raw: Bytes, out: FrameArray) -> int:

@@ -30,7 +30,7 @@ from hostile import Bytes, hostile, noisy, tiled
 from measure import copy_and_fill, machine, paired
 
 MIB = 1 << 20
-PIECE = 4096
+PIECE, SMALL, SMALL_CALLS = 4096, 100, 1000
 
 SETS: dict[str, Callable[[int, str], FrameArray]] = {
     "mixed": data.mixed,
@@ -46,6 +46,7 @@ HOSTILE = 8.0  # clean frames
 # Ten times what was reached on this machine when Python walked the blocks.
 RECORDED_SMALL = {"serial": 0.023, "seeed": 0.043, "cantalope": 0.041}
 RECORDED_FULL = {"serial": 0.13, "seeed": 0.27, "cantalope": 0.27}
+PIECES, PIECES_OTHERS = {"serial": 0.45}, 0.55
 NEW_ARRAY = {1 << 20: 0.65, 1 << 16: 0.45}  # by the bytes of the input
 
 
@@ -260,7 +261,34 @@ def pieces(stream: Stream, rounds: int) -> Iterator[Row]:
     )
     note = f"a call without bytes takes {empty_s / len(parts) * 1e6:.2f} us, "
     note += f"4 KiB in one call {whole_s / len(parts) * 1e6:.2f} us"
-    yield Row("feed_into in 4 KiB pieces, over one call", stream.protocol, ratio, 0.85, note)
+    required = PIECES.get(stream.protocol, PIECES_OTHERS)
+    yield Row("feed_into in 4 KiB pieces, over one call", stream.protocol, ratio, required, note)
+
+
+def small_calls(stream: Stream, rounds: int) -> Iterator[Row]:
+    """Decode 100 bytes into a new array: the time of the call."""
+    small, protocol, decoder = stream.raw[:SMALL].tobytes(), stream.protocol, stream.decoder
+    assert len(canser.decode(small, protocol)) == len(canser.Decoder(protocol).feed(small)) > 0
+
+    def repeat_feed() -> None:
+        for _ in range(SMALL_CALLS):
+            decoder.feed(small)
+
+    def repeat_decode() -> None:
+        for _ in range(SMALL_CALLS):
+            canser.decode(small, protocol)
+
+    feed_s, decode_s, _ = paired(repeat_feed, repeat_decode, rounds)
+    note = ""
+    if protocol == "serial":
+        assert len(peers.struct_serial(small)) == len(canser.decode(small, protocol))
+        loop_s, _, _ = paired(
+            lambda: [peers.struct_serial(small) for _ in range(SMALL_CALLS)], repeat_feed, rounds
+        )
+        note = f"a Python loop with struct {loop_s / SMALL_CALLS * 1e6:.2f} us"
+    feed_us, decode_us = feed_s / SMALL_CALLS * 1e6, decode_s / SMALL_CALLS * 1e6
+    yield Row("feed of 100 bytes, us, at most", protocol, feed_us, 2, note)
+    yield Row("decode of 100 bytes, us, at most", protocol, decode_us, 2.5)
 
 
 def files(stream: Stream, size: int, folder: Path, rounds: int) -> Iterator[Row]:
@@ -383,6 +411,7 @@ def rows(count: int, size: int, rounds: int, folder: Path) -> Iterator[Row]:
         yield from against_peers(stream, rounds)
         yield from noise(stream, rounds)
         yield from pieces(stream, rounds)
+        yield from small_calls(stream, rounds)
         yield from threads(stream, rounds)
         yield from files(stream, size, folder, max(rounds // 3, 1))
         yield from recorded(protocol, size // 32, folder, rounds)
