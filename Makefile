@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 BUILT  := setup.py pyproject.toml $(wildcard csrc/* csrc/protocols/*)
 
-.PHONY: demo test lint bench soak clean
+.PHONY: demo test lint docs bench soak clean
 
 demo: $(VENV)/.built ## make captures of a simulated adapter, decode them, print a table
 	$(BIN)/python examples/demo.py
@@ -18,7 +18,10 @@ lint: $(VENV)/.lint ## run the linters
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/clang-format --dry-run -Werror csrc/*.[ch] csrc/protocols/*.c tests/c/*.[ch] bench/*.c
+	$(BIN)/clang-format --dry-run -Werror csrc/*.[ch] csrc/protocols/*.c tests/c/*.[ch] bench/*.c examples/*.c
+
+docs: $(VENV)/.docs ## make the documentation in build/docs; warnings are errors
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
 
 bench: $(VENV)/.bench ## print what is reached and what must be; plot time against size
 	$(BIN)/python bench/table.py
@@ -46,6 +49,10 @@ $(VENV)/.test: $(VENV)/bin/python $(BUILT)
 
 $(VENV)/.bench: $(VENV)/bin/python $(BUILT)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	touch $(VENV)/.built $@
+
+$(VENV)/.docs: $(VENV)/bin/python $(BUILT)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	touch $(VENV)/.built $@
 
 $(VENV)/.lint: $(VENV)/bin/python $(BUILT)
