@@ -1,0 +1,64 @@
+"""The pages of docs/: their Python runs, and their commands are ones that exist."""
+
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+import canser
+from canser.commands import COMMANDS
+from canser.commands.cli import parser
+from canser.simulation.simulator import Simulator
+from canser.simulation.traffic import vehicle
+
+DOCS = Path(__file__).parents[1] / "docs"
+PAGES = {
+    path.relative_to(DOCS).as_posix(): path.read_text(encoding="utf-8")
+    for path in sorted(DOCS.rglob("*.md"))
+    if "generated" not in path.parts
+}
+
+
+def blocks(page: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", PAGES[page], re.DOTALL | re.MULTILINE)
+
+
+@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
+@pytest.mark.filterwarnings("ignore:run.bin. read as serial")
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")])
+def test_the_python_of_a_page_runs(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("run.bin").write_bytes(canser.encode(vehicle(2), "serial"))
+    names: dict[str, object] = {}
+    ran = 0
+    with Simulator("seeed", vehicle(2), loop=True) as adapter:
+        for code in blocks(page, "python"):
+            try:
+                exec(code.replace("/dev/ttyUSB0", adapter.url), names)
+            except ModuleNotFoundError as missing:
+                if missing.name not in ("pandas", "polars", "pyarrow"):
+                    raise
+            else:
+                ran += 1
+    assert ran
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "console")])
+def test_the_commands_of_a_page_exist(page: str) -> None:
+    whole = parser(COMMANDS)
+    for block in blocks(page, "console"):
+        for line in re.findall(r"^\$ canser (.*)$", block, re.MULTILINE):
+            arguments = shlex.split(line.split("|")[0].removesuffix("&"), comments=True)
+            if arguments[0].startswith("-"):
+                continue
+            assert whole.parse_args(arguments).run
+
+
+def test_every_page_is_in_the_table_of_contents() -> None:
+    listed = set(re.findall(r"^([a-z]+(?:/[a-z-]+)?)$", PAGES["index.md"], re.MULTILINE))
+    assert listed == {page.removesuffix(".md") for page in PAGES} - {"index"}
