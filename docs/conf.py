@@ -6,9 +6,8 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 
+import canser  # noqa: E402 - the path comes first
 import generate  # noqa: E402 - beside this file
-
-import canser  # noqa: E402
 
 project = "canser"
 author = "the canser developers"

@@ -112,8 +112,8 @@ class Decoder(Uncopied):
 
     Sans-I/O. It does not matter how the stream is cut. Two threads may share a
     decoder: they wait for each other. A signal handler may not, if it interrupts a call in its
-    own thread: it gets a RuntimeError, and nothing is changed. C works without the GIL, so decoders in
-    several threads run in parallel. A decoder cannot be copied or pickled.
+    own thread: it gets a RuntimeError, and nothing is changed. C works without the GIL, so
+    decoders in several threads run in parallel. A decoder cannot be copied or pickled.
     """
 
     _keeps_controls = True  # for `take_controls`
