@@ -79,7 +79,7 @@ def near_frames(protocol: str, length: int, rng: np.random.Generator) -> Bytes:
     """Return candidates of which each is rejected as late as can be."""
     if protocol == "cantalope":
         # Its frames have no mark that could be wrong. In any order: bytes that no frame
-        # starts with, their low half over 8; and a command that nobody knows, whose last
+        # starts with, their low half over 8; and an unknown command, whose last
         # two bytes start a frame.
         units = rng.integers(0, 16, (-(-length // 5), 5)) << 4 | rng.integers(9, 16, 5)
         units[rng.random(len(units)) < 0.5] = [0xFF, 0xFF, 0x02, 0x00, 0x00]

@@ -89,7 +89,7 @@ def fed(raw: bytes) -> Iterator[Feeder]:
 
 
 def bare(feeder: Feeder) -> None:
-    """Read all bytes, as nobody can do with less."""
+    """Read all bytes, and do nothing else."""
     os.set_blocking(feeder.slave, True)
     feeder.start()
     left = len(feeder.raw)

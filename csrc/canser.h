@@ -1,9 +1,9 @@
 /* canser: decode and encode the byte streams of serial CAN adapters.
  *
  * Plain C11 without allocation, I/O or globals that change: the caller owns
- * all memory. Return codes tell the caller's mistakes; whatever is wrong on
- * the wire goes to counters. Results are written on every return, errors
- * included, so a count is never stale.
+ * all memory. Return codes are for the caller's mistakes; counters are for what
+ * is wrong on the wire. Results are written on every return, errors included:
+ * so a caller never reads a count of an earlier call.
  *
  * The rule of the scan, for every protocol: at each position either a packet
  * starts (take it and go on behind it), or more bytes are needed (they are
@@ -66,7 +66,7 @@ enum {
     CANSER_OVERLAP = 3,    /* an output shares bytes with the input or another output */
     CANSER_REFUSED = 4,    /* encode: the format cannot carry a frame */
     CANSER_TICK = 5,       /* tick_ns is less than 1 */
-    CANSER_APART = 6,      /* join: the chunk does not begin where the stream stands */
+    CANSER_MISMATCH = 6,   /* join: the chunk does not begin where the stream stands */
     CANSER_UNABLE = 7,     /* configure: the adapter takes no configuration */
     CANSER_RANGE = 8,      /* a value is none that the adapter, or the call, can have */
     CANSER_NO_CONTROL = 9  /* explain: the bytes are not one whole control packet */
@@ -109,7 +109,7 @@ enum {
 
 /* What a control packet is. */
 enum {
-    CANSER_CONTROL_OTHER, /* nobody wrote down what it means */
+    CANSER_CONTROL_OTHER, /* no document says what it means */
     CANSER_CONTROL_PING,
     CANSER_CONTROL_STATUS,
     CANSER_CONTROL_ERROR,
@@ -340,18 +340,17 @@ int canser_explain(const canser_protocol *protocol, const uint8_t *packet, size_
 /* Of so many frames of a piece all but one may be false, and its sample is a true one. */
 #define CANSER_LEAST_LATE 3
 
-/* A stretch of a stream that was decoded before anybody knew where its first packet
- * starts: from a guess, to be joined to all that lies before it. That is how several
- * threads decode one stream. Lives in the caller's memory; fields are the library's
- * own but for the three that say so. */
+/* A stretch of a stream that was decoded from a guess where its first packet starts. It is joined
+ * to the stream when all that lies before it is decoded: that is how several threads decode one
+ * stream. Lives in the caller's memory; all fields but the three that say so are private. */
 typedef struct {
-    uint64_t begin;      /* for the caller: the stream offset at which it starts, a guess */
-    uint64_t end;        /* for the caller: the stream offset behind it */
-    size_t frame_count;  /* for the caller: its frames */
-    canser_decoder tale; /* what it did, as a stream of its own */
-    uint8_t skips_first; /* 1: no packet starts at `begin` */
-    size_t settled;      /* joined: so many frames have their times */
-    int64_t shift;       /* joined: nanoseconds to add to the times of the others */
+    uint64_t begin;         /* for the caller: the stream offset at which it starts, a guess */
+    uint64_t end;           /* for the caller: the stream offset behind it */
+    size_t frame_count;     /* for the caller: its frames */
+    canser_decoder decoder; /* of the stretch alone, as if it were a stream */
+    uint8_t skips_first;    /* 1: no packet starts at `begin` */
+    size_t settled;         /* joined: so many frames have their times */
+    int64_t shift;          /* joined: nanoseconds to add to the times of the others */
     uint32_t raws[CANSER_SETTLE_MAX]; /* device timestamps of the first frames */
 } canser_chunk;
 
@@ -379,7 +378,7 @@ int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, int
 /* Join a chunk to the stream: counters, clock, and the place where it stands, as if
  * `self` had decoded those bytes. `frames` are the chunk's; the first few get their times
  * here. Takes the same time for any number of frames. Returns CANSER_OK; CANSER_NULL;
- * CANSER_APART, and nothing was changed, if the stream does not stand at chunk->begin,
+ * CANSER_MISMATCH, and nothing was changed, if the stream does not stand at chunk->begin,
  * holds bytes, is of another protocol or unit, or if the device clock leaps so often that
  * it cannot be told what it does in the chunk. */
 int canser_decoder_join(canser_decoder *self, canser_chunk *chunk, canser_frame *frames);
@@ -539,20 +538,22 @@ int canser_recording_gather(canser_recording *self, const uint8_t *data, size_t 
                             uint8_t *out, size_t out_cap, canser_piece *pieces, size_t piece_cap,
                             canser_gathered *result);
 
-/* A decoder that several threads may use, for a caller in whose language each call is dear. While
- * one works on it, the others are told so, and must try again. */
+/* A decoder that several threads may use, for a binding to a language in which each call is
+ * expensive. While one thread works on it, the calls of others return at once, and must be tried
+ * again. */
 typedef struct {
-    canser_decoder decoder; /* for whom canser_stream_take() has let in, and to look at */
+    canser_decoder
+        decoder; /* to change only between take and release, below; to read at any time */
     uint8_t
         keeps_controls; /* for the caller: 1: canser_stream_feed() leaves control packets to it */
-    uint32_t taken;     /* private: who works on it */
+    uint32_t taken;     /* private: what works on it */
 } canser_stream;
 
-/* More bytes than these are not taken by one small call: others may wait for it. */
+/* The most bytes of one small call: other threads may wait until it ends. */
 #define CANSER_SMALL_MAX 1048576
 
 /* Take the stream; calls with its decoder are the caller's alone until canser_stream_release().
- * Returns 1, or 0 where somebody else has it. */
+ * Returns 1, or 0 where another caller has it. */
 int canser_stream_take(canser_stream *self);
 
 /* Give back what canser_stream_take() took, if it did. */
@@ -568,14 +569,14 @@ typedef struct {
 
 /* Decode the next bytes of a stream, as canser_decoder_feed().
  *
- * All or nothing. Returns the number of frames; where `frames` is full, 2^32 for each byte that was
- * not taken on top. Returns -1, and nothing is changed but rows of the arrays, where another call
- * is needed to tell why, or to do it: the stream is taken; an argument is wrong; there are over
- * CANSER_SMALL_MAX bytes; a control packet is among them that must be kept. */
+ * All or nothing. Returns the number of frames. Where `frames` is full, the bytes that were not
+ * taken, times 2^32, are added. Returns -1, and nothing is changed but rows of the arrays, where
+ * another call is needed to tell why, or to do it: the stream is taken; an argument is wrong; there
+ * are over CANSER_SMALL_MAX bytes; a control packet is among them that must be kept. */
 int64_t canser_stream_feed(canser_stream *self, const uint8_t *data, size_t data_len,
                            const canser_target *target);
 
-/* Decode a whole stream. Returns the number of frames, and 2^32 for each skipped byte on top; -1
+/* Decode a whole stream. Returns the number of frames, plus 2^32 times the skipped bytes; -1
  * where an argument is wrong, there are over CANSER_SMALL_MAX bytes, or `frames` has become full.
  */
 int64_t canser_decode_small(const canser_protocol *protocol, int64_t tick_ns, const uint8_t *data,

@@ -19,7 +19,7 @@ enum { RUN_UP = 4096 };
 
 /* Decode on from data[*pos] up to `stop`, behind what is in the batch already, until it
  * holds `frame_cap` frames. */
-static int extend(canser_decoder *tale, const uint8_t *data, size_t data_len, size_t *pos,
+static int extend(canser_decoder *decoder, const uint8_t *data, size_t data_len, size_t *pos,
                   size_t stop, canser_batch *batch, size_t frame_cap)
 {
     const size_t frames = batch->frame_count, controls = batch->control_count;
@@ -39,7 +39,7 @@ static int extend(canser_decoder *tale, const uint8_t *data, size_t data_len, si
         rest.control_cap -= controls;
     }
     const int status =
-        canser_decoder_advance(tale, data + *pos, data_len - *pos, stop - *pos, &rest, &used);
+        canser_decoder_advance(decoder, data + *pos, data_len - *pos, stop - *pos, &rest, &used);
     *pos += used;
     batch->frame_count = frames + rest.frame_count;
     batch->control_count = controls + rest.control_count;
@@ -57,15 +57,15 @@ int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, int
         return CANSER_NULL;
     first = first < data_len ? first : data_len;
 
-    canser_decoder *const tale = &self->tale;
-    int status = canser_decoder_init(tale, protocol, tick_ns);
+    canser_decoder *const decoder = &self->decoder;
+    int status = canser_decoder_init(decoder, protocol, tick_ns);
     size_t pos = first < RUN_UP ? 0 : first - RUN_UP;
     size_t used = 1;
 
     /* An array that is full on the way is emptied: only where it ends counts. */
     while (!status && pos < first && used) {
         status =
-            canser_decoder_advance(tale, data + pos, data_len - pos, first - pos, batch, &used);
+            canser_decoder_advance(decoder, data + pos, data_len - pos, first - pos, batch, &used);
         pos += used;
     }
     if (status)
@@ -73,25 +73,25 @@ int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, int
 
     const size_t cap = batch->frame_cap;
     const size_t settle_cap = cap < CANSER_SETTLE_MAX ? cap : CANSER_SETTLE_MAX;
-    canser_decoder_init(tale, protocol, tick_ns);
-    tale->stats.bytes_in = self->begin = offset + pos;
+    canser_decoder_init(decoder, protocol, tick_ns);
+    decoder->stats.bytes_in = self->begin = offset + pos;
     batch->frame_count = batch->control_count = 0;
     /* The first position alone, to see whether a packet starts there; then the frames in
      * which the clock must settle, in ticks; then the rest. */
-    tale->clock.tick_ns = 1;
-    status = extend(tale, data, data_len, &pos, pos < stop ? pos + 1 : pos, batch, settle_cap);
-    self->skips_first = tale->stats.bytes_skipped != 0;
+    decoder->clock.tick_ns = 1;
+    status = extend(decoder, data, data_len, &pos, pos < stop ? pos + 1 : pos, batch, settle_cap);
+    self->skips_first = decoder->stats.bytes_skipped != 0;
     if (!status)
-        status = extend(tale, data, data_len, &pos, stop, batch, settle_cap);
+        status = extend(decoder, data, data_len, &pos, stop, batch, settle_cap);
     if (protocol->has_clock)
         for (size_t i = 0; i < batch->frame_count; i++) {
             self->raws[i] = (uint32_t)batch->frames[i].ts;
             batch->frames[i].ts = (int64_t)((uint64_t)batch->frames[i].ts * (uint64_t)tick_ns);
         }
-    tale->clock.tick_ns = tick_ns;
+    decoder->clock.tick_ns = tick_ns;
     if (!status)
-        status = extend(tale, data, data_len, &pos, stop, batch, cap);
-    self->end = tale->stats.bytes_in;
+        status = extend(decoder, data, data_len, &pos, stop, batch, cap);
+    self->end = decoder->stats.bytes_in;
     self->frame_count = self->settled = batch->frame_count;
     self->shift = 0;
     return status;
@@ -109,7 +109,7 @@ static bool clock_is_settled(const canser_clock *clock, uint64_t number)
  * changed, if they do not settle. */
 static bool join_clock(canser_decoder *self, canser_chunk *chunk, canser_frame *frames)
 {
-    const canser_clock *const last = &chunk->tale.clock;
+    const canser_clock *const last = &chunk->decoder.clock;
     const uint64_t before = self->stats.frames;
     const size_t most =
         chunk->frame_count < CANSER_SETTLE_MAX ? chunk->frame_count : CANSER_SETTLE_MAX;
@@ -144,11 +144,11 @@ static bool join_clock(canser_decoder *self, canser_chunk *chunk, canser_frame *
         }
     }
     self->clock = clock;
-    self->stats.ts_wraps = stats.ts_wraps + chunk->tale.stats.ts_wraps - own_stats.ts_wraps;
+    self->stats.ts_wraps = stats.ts_wraps + chunk->decoder.stats.ts_wraps - own_stats.ts_wraps;
     self->stats.ts_backsteps =
-        stats.ts_backsteps + chunk->tale.stats.ts_backsteps - own_stats.ts_backsteps;
+        stats.ts_backsteps + chunk->decoder.stats.ts_backsteps - own_stats.ts_backsteps;
     self->stats.ts_uncertain =
-        stats.ts_uncertain + chunk->tale.stats.ts_uncertain - own_stats.ts_uncertain;
+        stats.ts_uncertain + chunk->decoder.stats.ts_uncertain - own_stats.ts_uncertain;
     return true;
 }
 
@@ -157,13 +157,14 @@ int canser_decoder_join(canser_decoder *self, canser_chunk *chunk, canser_frame 
     if (!self || !chunk || (!frames && chunk->frame_count))
         return CANSER_NULL;
     if (self->carry_len || self->stats.bytes_in != chunk->begin ||
-        self->protocol != chunk->tale.protocol || self->clock.tick_ns != chunk->tale.clock.tick_ns)
-        return CANSER_APART;
+        self->protocol != chunk->decoder.protocol ||
+        self->clock.tick_ns != chunk->decoder.clock.tick_ns)
+        return CANSER_MISMATCH;
     if (self->protocol->has_clock && !join_clock(self, chunk, frames))
-        return CANSER_APART;
+        return CANSER_MISMATCH;
 
     canser_stats *const stats = &self->stats;
-    const canser_stats *const more = &chunk->tale.stats;
+    const canser_stats *const more = &chunk->decoder.stats;
     stats->bytes_in = more->bytes_in;
     stats->bytes_framed += more->bytes_framed;
     stats->bytes_control += more->bytes_control;
@@ -175,12 +176,12 @@ int canser_decoder_join(canser_decoder *self, canser_chunk *chunk, canser_frame 
     for (int reason = 0; reason < CANSER_REJECT_COUNT; reason++)
         stats->rejects[reason] += more->rejects[reason];
     if (more->bytes_skipped)
-        self->skip_end = chunk->tale.skip_end;
+        self->skip_end = chunk->decoder.skip_end;
     return CANSER_OK;
 }
 
-/* A word to memory that nobody reads soon: past the cache where the machine can, which
- * spares the read of each line that is going to be written over. */
+/* Store a word that is not read soon, past the cache where the machine can: otherwise it reads each
+ * line of memory before the line is written over. */
 CANSER_INLINE void store_past(void *to, uint64_t word)
 {
 #if defined(__x86_64__)

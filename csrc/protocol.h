@@ -252,7 +252,7 @@ enum { PLAIN_KINDS = 2 * 16 };
 
 /* Whether a frame is a data frame that may be sent. Its kind picks the bits that no head
  * of this kind has, so that one test tells all: a test for each rule takes a third of the
- * time, and nobody can predict one of ext on mixed traffic. An ext or a dlc too large
+ * time, and a branch on ext is mispredicted on mixed traffic. An ext or a dlc too large
  * picks any kind; their upper bits are among the bits of each. */
 CANSER_INLINE bool take_apart(const canser_frame *frame, bool has_ext, plain_frame *plain)
 {

@@ -168,7 +168,7 @@ CANSER_INLINE plain_stop plain_loop(const uint8_t *p, canser_frame *frame,
 }
 
 /* Functions of their own, so that here, where a decoder spends its time, no
- * register and no jump is lost to what is rare, or to offsets nobody asked for. */
+ * register and no jump is lost to what is rare, or to offsets that are not wanted. */
 CANSER_NOINLINE plain_stop take_plain(const uint8_t *p, canser_frame *frame, canser_frame *until,
                                       canser_clock *clock)
 {

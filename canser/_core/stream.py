@@ -154,7 +154,7 @@ class Stream:
     def join(self, chunk: "ParallelChunk") -> bool:
         """Go on over a chunk, if it starts where the stream stands; else return False."""
         status = lib.canser_decoder_join(self._state, chunk.state, chunk.frames_at)
-        if status == lib.CANSER_APART:
+        if status == lib.CANSER_MISMATCH:
             return False
         if status:
             raise_status(status)

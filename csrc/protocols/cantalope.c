@@ -13,7 +13,7 @@
  *   the chain falls back into step. The ping is the only check there is.
  * - Payload follows by the dlc in remote frames, too ("we use the DLC to
  *   calculate at what point a new serial packet should be coming").
- * - Commands other than 00 and 01 have lengths that nobody wrote down: rejected.
+ * - Commands other than 00 and 01 have lengths that are not documented: rejected.
  * - Standard ids only, no error frames, no timestamp.
  */
 #include "protocol.h"

@@ -38,7 +38,7 @@
  * - Of the modes Waveshare's page says 1 silent, 2 loopback; the programs that work
  *   with real adapters have it as above.
  * - The four zeros of a configuration are a "manual bitrate config, details unknown" to
- *   python-can: where they are not zero nobody knows what is configured.
+ *   python-can: where they are not zero, the configuration is unknown.
  */
 #include "protocol.h"
 
@@ -122,8 +122,8 @@ CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *f
 
 /* What a type byte, less its mark, says of a data frame: one row in the place of a
  * test for each rule. Tests and shifts share two ports of the CPU, and with all of
- * them a frame takes longer than the memory; nor can anybody predict the kind of the
- * id on mixed traffic. */
+ * them a frame takes longer than the memory; and a branch on the kind of
+ * the id is mispredicted on mixed traffic. */
 typedef struct {
     uint64_t flags;   /* ext and dlc, where the record has them */
     uint64_t payload; /* the bytes of the payload */

@@ -470,7 +470,7 @@ static bool decode_chunk(canser_chunk *chunk, canser_batch *batch, const uint8_t
     check(
         (!batch->offsets || !frame_count || (uint64_t)batch->offsets[frame_count - 1] < at->stop) &&
             (!control_count || batch->controls[control_count - 1].offset < at->stop) &&
-            (!chunk->tale.stats.bytes_skipped || chunk->tale.skip_end <= at->stop),
+            (!chunk->decoder.stats.bytes_skipped || chunk->decoder.skip_end <= at->stop),
         "a chunk takes what starts behind its stretch");
     return status == CANSER_OK;
 }
@@ -487,7 +487,8 @@ static void join_chunk(canser_chunk *chunk, canser_batch *batch, bool sees_all)
 
     /* A clock that leaps all the time may keep a long chunk from being joined. */
     const bool settles = chunk->frame_count <= CANSER_SETTLE_MAX || status == CANSER_OK;
-    check(status == (meets && settles ? CANSER_OK : CANSER_APART), "the status of a join differs");
+    check(status == (meets && settles ? CANSER_OK : CANSER_MISMATCH),
+          "the status of a join differs");
     check(meets || !sees_all, "a guess that has seen all is wrong");
     joined_count += status == CANSER_OK;
     apart_count += status != CANSER_OK;
@@ -1918,22 +1919,22 @@ static void test_join_arguments(bench *b)
     check(canser_decoder_join(NULL, &chunk, frames) == CANSER_NULL, "self NULL");
     check(canser_decoder_join(&decoder, NULL, frames) == CANSER_NULL, "chunk NULL");
     check(canser_decoder_join(&decoder, &chunk, NULL) == CANSER_NULL, "frames NULL");
-    check(canser_decoder_join(&b->decoder, &chunk, frames) == CANSER_APART, "bytes are held");
+    check(canser_decoder_join(&b->decoder, &chunk, frames) == CANSER_MISMATCH, "bytes are held");
     chunk.begin = b->decoder.stats.bytes_in;
-    check(canser_decoder_join(&b->decoder, &chunk, frames) == CANSER_APART, "bytes are held");
+    check(canser_decoder_join(&b->decoder, &chunk, frames) == CANSER_MISMATCH, "bytes are held");
     chunk.begin = 0;
     check(memcmp(&b->before, &b->decoder, sizeof b->before) == 0, "the decoder has changed");
     decoder.stats.bytes_in = 1;
-    check(canser_decoder_join(&decoder, &chunk, frames) == CANSER_APART, "another place");
+    check(canser_decoder_join(&decoder, &chunk, frames) == CANSER_MISMATCH, "another place");
     canser_decoder_init(&decoder, canser_protocol_at(other), 1000);
-    check(canser_decoder_join(&decoder, &chunk, frames) == CANSER_APART, "another protocol");
+    check(canser_decoder_join(&decoder, &chunk, frames) == CANSER_MISMATCH, "another protocol");
     canser_decoder_init(&decoder, b->decoder.protocol, 999);
-    check(canser_decoder_join(&decoder, &chunk, frames) == CANSER_APART, "another unit");
+    check(canser_decoder_join(&decoder, &chunk, frames) == CANSER_MISMATCH, "another unit");
     check(memcmp(&before, &chunk, sizeof before) == 0, "the chunk has changed");
     /* A join that was refused is no harm. */
     canser_decoder_init(&decoder, b->decoder.protocol, 1000);
     check(canser_decoder_join(&decoder, &chunk, frames) == CANSER_OK, "another status");
-    check(canser_decoder_join(&decoder, &chunk, frames) == CANSER_APART, "joined twice");
+    check(canser_decoder_join(&decoder, &chunk, frames) == CANSER_MISMATCH, "joined twice");
 
     now.part = "deliver";
     memset(copies, 0x5A, sizeof copies);
