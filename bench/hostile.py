@@ -15,7 +15,8 @@ PATTERN = 1 << 22
 # Every byte that means something in `seeed` or `serial`: marks and data length codes.
 MARKS = np.array([0xAA, 0xBB, 0x55, *range(9)], np.uint8)
 
-# Bytes chosen against one protocol: the patterns of a stream follow in any order.
+# Bytes chosen against one protocol, where there are worse ones than those against all: the
+# patterns of a stream follow in any order.
 PATTERNS: dict[str, dict[str, list[str]]] = {
     "cantalope": {
         # No byte is safe: the shortest frame, and a byte with which none starts.
@@ -66,7 +67,7 @@ def hostile(protocol: str, size: int) -> dict[str, Bytes]:
         "near-frames": near_frames(protocol, length, rng),
         "random bytes": rng.integers(0, 256, length, dtype=np.uint8),
     }
-    for name, patterns in PATTERNS[protocol].items():
+    for name, patterns in PATTERNS.get(protocol, {}).items():
         units = [np.frombuffer(bytes.fromhex(pattern), np.uint8) for pattern in patterns]
         if len(units) > 1:
             order = rng.integers(0, len(units), length)
@@ -84,7 +85,7 @@ def near_frames(protocol: str, length: int, rng: np.random.Generator) -> Bytes:
         units = rng.integers(0, 16, (-(-length // 5), 5)) << 4 | rng.integers(9, 16, 5)
         units[rng.random(len(units)) < 0.5] = [0xFF, 0xFF, 0x02, 0x00, 0x00]
         return units.astype(np.uint8).ravel()[:length]
-    # Good frames, but for the end mark, the last byte of each.
+    # Good frames, but for the last byte of each, which is the end mark where there is one.
     frames = data.mixed(-(-length // 5), protocol)
     raw = np.frombuffer(canser.encode(frames, protocol), np.uint8).copy()
     offsets = np.empty(len(frames) + 1, np.int64)

@@ -40,7 +40,7 @@ def main() -> None:
         command = [*compiler, "-O3", "-std=c11", f"-I{CORE}", *map(str, sources)]
         if subprocess.run([*command, "-o", str(program)], check=False).returncode:
             sys.exit("limits.c does not compile")
-        for protocol in ("serial", "seeed", "cantalope"):
+        for protocol in canser.protocols():
             frames = data.mixed(args.frames, protocol)
             raw = np.frombuffer(canser.encode(frames, protocol), np.uint8)
             raw.tofile(stream)

@@ -342,9 +342,7 @@ def numba_loop(protocol: str) -> Decode:
     """Return a loop that decodes `protocol`, compiled at its first call."""
     numba: Any = importlib.import_module("numba")
     jit = numba.njit(nogil=True, cache=False)
-    loop = jit(
-        {"cantalope": _loop_cantalope, "seeed": _loop_seeed, "serial": _loop_serial}[protocol]
-    )
+    loop = jit(_LOOPS[protocol])
 
     def decode(raw: Bytes, out: FrameArray) -> int:
         payload = _words(out)[1][:, 1]
@@ -488,13 +486,18 @@ def _loop_cantalope(raw: Any, fields: Any) -> Any:
     return count
 
 
+_LOOPS = {"cantalope": _loop_cantalope, "seeed": _loop_seeed, "serial": _loop_serial}
+
+PYTHON_CAN = {
+    "serial": ("serial.serial_can", "SerialBus", "_ser"),
+    "seeed": ("seeedstudio.seeedstudio", "SeeedBus", "ser"),
+}
+
+
 def python_can(protocol: str, raw: bytes) -> int:
     """Read the bytes through python-can's own bus; return the number of frames."""
     can: Any = importlib.import_module("can")
-    module, name, port = {
-        "serial": ("serial.serial_can", "SerialBus", "_ser"),
-        "seeed": ("seeedstudio.seeedstudio", "SeeedBus", "ser"),
-    }[protocol]
+    module, name, port = PYTHON_CAN[protocol]
     bus_class: Any = getattr(importlib.import_module(f"can.interfaces.{module}"), name)
     take = io.BytesIO(raw).read
 
@@ -512,6 +515,18 @@ def python_can(protocol: str, raw: bytes) -> int:
         count += 1
     bus.shutdown()
     return count
+
+
+def written(protocol: str) -> dict[str, Decode]:
+    """Return the decoders that are written here for a protocol, if any, by their names."""
+    works: dict[str, Decode] = {}
+    if protocol in NUMPY:
+        works["numpy"] = NUMPY[protocol]
+        try:
+            works["a numba loop"] = numba_loop(protocol)
+        except ImportError:
+            print("numba is not installed: pip install 'canser[bench]'")
+    return works
 
 
 def _sets(count: int, protocol: str) -> dict[str, FrameArray]:
@@ -533,11 +548,7 @@ def _compare(protocol: str, traffic: str, frames: FrameArray, rounds: int) -> No
     raw = np.frombuffer(canser.encode(frames, protocol), np.uint8)
     expected = canser.decode(raw, protocol)
     out = np.zeros(len(frames) + 1, canser.FRAME_DTYPE)
-    works: dict[str, Decode] = {"numpy": NUMPY[protocol]}
-    try:
-        works["numba"] = numba_loop(protocol)
-    except ImportError:
-        print("numba is not installed")
+    works = written(protocol)
     for name, work in works.items():
         out.view(np.uint8).fill(0xEE)
         count = work(raw, out)
@@ -546,7 +557,7 @@ def _compare(protocol: str, traffic: str, frames: FrameArray, rounds: int) -> No
     speeds = {"canser": len(frames) / _seconds(lambda: decoder.feed_into(raw, out), rounds)}
     for name, work in works.items():
         speeds[name] = len(frames) / _seconds(functools.partial(work, raw, out), rounds)
-    if protocol != "cantalope":
+    if protocol in PYTHON_CAN:
         # Remote frames make python-can lose its place.
         few = frames[~frames["rtr"]][:20_000]
         few_raw = canser.encode(few, protocol)

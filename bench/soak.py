@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 import canser
+import data
 from canser._frames import FrameArray
 from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import vehicle
@@ -86,7 +87,7 @@ def descriptors() -> int:
 
 def soak(protocol: str, hours: float, times: int, folder: Path) -> list[str]:
     """Send, read, compare, record; return what is wrong."""
-    traffic = vehicle(120, extended=protocol != "cantalope")
+    traffic = vehicle(120, extended=data.has_extended(protocol))
     sent = content(canser.decode(canser.encode(traffic, protocol), protocol))
     todo = int(hours * 3600 * PACE)
     wrong = []

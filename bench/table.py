@@ -30,6 +30,7 @@ from hostile import Bytes, hostile, noisy, tiled
 from measure import copy_and_fill, machine, paired
 
 MIB = 1 << 20
+ONE = "serial"  # for what does not depend on the protocol
 PIECE, SMALL, SMALL_CALLS = 4096, 100, 1000
 
 SETS: dict[str, Callable[[int, str], FrameArray]] = {
@@ -41,7 +42,7 @@ SETS: dict[str, Callable[[int, str], FrameArray]] = {
 L_RATIO = 1.3
 L_BOUNDS_NS = 4.0  # memory is the limit where L takes longer than this for a frame
 PYTHON_CAN = {"serial": 750.0, "seeed": 1300.0}
-NUMPY, NUMBA = 10.0, 2.0
+PEERS = {"numpy": 10.0, "a numba loop": 2.0}
 HOSTILE = 8.0  # clean frames
 # Ten times what was reached on this machine when Python walked the blocks.
 RECORDED_SMALL = {"serial": 0.023, "seeed": 0.043, "cantalope": 0.041}
@@ -70,7 +71,7 @@ class Stream:
         self.out = np.empty(count + 1, canser.FRAME_DTYPE)
         self.decoder = canser.Decoder(protocol)
         expected = self.frames.copy()
-        if protocol != "serial":
+        if not canser.protocol(protocol).has_clock:
             expected["ts"] = canser.NO_TIME
         expected["data"][expected["rtr"]] = 0
         decoded = canser.decode(self.raw, protocol, out=self.out)
@@ -180,19 +181,14 @@ def whole_records(stream: Stream, rounds: int) -> Iterator[Row]:
 def against_peers(stream: Stream, rounds: int) -> Iterator[Row]:
     """Give the same bytes from memory to other decoders."""
     protocol, raw, count = stream.protocol, stream.raw, stream.count
-    rivals: list[tuple[str, peers.Decode, float]] = [("numpy", peers.NUMPY[protocol], NUMPY)]
-    try:
-        rivals.append(("a numba loop", peers.numba_loop(protocol), NUMBA))
-    except ImportError:
-        print("numba is not installed: pip install 'canser[bench]'")
     expected = canser.decode(raw, protocol)
-    for name, rival, required in rivals:
+    for name, rival in peers.written(protocol).items():
         room = np.zeros(count + 1, canser.FRAME_DTYPE)
         assert np.array_equal(room[: rival(raw, room)], expected), f"{name} is wrong"
         rival_s, _, ratio = paired(lambda: rival(raw, room), stream.feed, rounds)  # noqa: B023
         note = f"{count / rival_s / 1e6:.0f} Mframes/s"
-        yield Row(f"decode over {name}", protocol, ratio, required, note)
-    if protocol in PYTHON_CAN:
+        yield Row(f"decode over {name}", protocol, ratio, PEERS[name], note)
+    if protocol in peers.PYTHON_CAN:
         # Remote frames make python-can lose its place; there are none in this set.
         few = stream.frames[: min(count, 20_000)]
         few_raw = canser.encode(few, protocol)
@@ -336,7 +332,7 @@ def recorded(protocol: str, size: int, folder: Path, rounds: int) -> Iterator[Ro
         recording_files.record(path, protocol, raw, piece)
         assert count(path) == count(bare) == len(frames), "frames of the recording are lost"
         _, seconds, ratio = paired(lambda: count(bare), lambda: count(path), rounds)  # noqa: B023
-        required = (RECORDED_SMALL if name == "small" else RECORDED_FULL)[protocol]
+        required = (RECORDED_SMALL if name == "small" else RECORDED_FULL).get(protocol)
         note = f"{seconds / len(frames) * 1e9:.1f} ns a frame, "
         note += f"{len(raw) / seconds / 1e9:.2f} GB/s of the line"
         yield Row(f"a recording in {name} blocks, over raw", protocol, ratio, required, note)
@@ -401,12 +397,12 @@ def memory_rows(protocol: str, size: int) -> Iterator[Row]:
 
 def rows(count: int, size: int, rounds: int, folder: Path) -> Iterator[Row]:
     yield from counted()
-    for protocol in ("serial", "seeed", "cantalope"):
+    for protocol in canser.protocols():
         stream = Stream("mixed", protocol, count)
         yield from against_memory(stream, rounds)
         yield from against_memory(Stream("periodic", protocol, count), rounds)
         yield from new_arrays(stream, rounds)
-        if protocol == "serial":
+        if protocol == ONE:
             yield from whole_records(stream, rounds)
         yield from against_peers(stream, rounds)
         yield from noise(stream, rounds)
@@ -415,7 +411,7 @@ def rows(count: int, size: int, rounds: int, folder: Path) -> Iterator[Row]:
         yield from threads(stream, rounds)
         yield from files(stream, size, folder, max(rounds // 3, 1))
         yield from recorded(protocol, size // 32, folder, rounds)
-        if protocol == "serial":
+        if protocol == ONE:
             yield from convert(stream, size, folder, max(rounds // 4, 1))
         yield from memory_rows(protocol, size // 2)
 

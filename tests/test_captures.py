@@ -25,12 +25,13 @@ from canser.files.raw import BLOCK_FRAMES
 from canser.recording.header import RecordingInfo
 from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import line_noise, vehicle
+from reference import WIRE_FORMATS
 
 PROTOCOLS = canser.protocols()
 
 
 def capture_of(protocol: str, tmp_path: Path, seconds: float = 3) -> tuple[Path, FrameArray]:
-    frames = vehicle(seconds, extended=protocol != "cantalope")
+    frames = vehicle(seconds, extended=WIRE_FORMATS[protocol].has_ext)
     raw = b"junk" + line_noise(canser.encode(frames, protocol)) + b"\xaa"
     path = tmp_path / f"{protocol}.bin"
     path.write_bytes(raw)
@@ -396,7 +397,7 @@ def test_the_wrong_protocol_is_one_warning(protocol: str, wrong: str, tmp_path: 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_noisy_line_is_no_wrong_protocol(protocol: str) -> None:
-    frames = vehicle(3, extended=protocol != "cantalope")
+    frames = vehicle(3, extended=WIRE_FORMATS[protocol].has_ext)
     for seed in range(5):
         canser.decode(line_noise(canser.encode(frames, protocol), rate=0.01, seed=seed), protocol)
     canser.decode(bytes(999), protocol)  # too few bytes to tell anything by

@@ -21,6 +21,7 @@ from canser.commands import COMMANDS
 from canser.recording.header import RecordingInfo
 from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import line_noise, vehicle
+from reference import WIRE_FORMATS
 
 PROTOCOLS = canser.protocols()
 INFO = RecordingInfo("seeed", 2_000_000, None, "ms", "x")
@@ -36,7 +37,7 @@ def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with two seconds of traffic in each protocol; nothing writes into it."""
     folder = tmp_path_factory.mktemp("captures")
     for protocol in PROTOCOLS:
-        frames = vehicle(2, extended=protocol != "cantalope")
+        frames = vehicle(2, extended=WIRE_FORMATS[protocol].has_ext)
         (folder / f"{protocol}.bin").write_bytes(canser.encode(frames, protocol))
     noise = np.random.default_rng(1).integers(0, 256, 5_000, dtype=np.uint8)
     (folder / "noise.bin").write_bytes(noise.tobytes())

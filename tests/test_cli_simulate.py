@@ -22,6 +22,7 @@ from canser.commands.cli import main
 from canser.commands.simulate import _traffic
 from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import damage, vehicle
+from reference import WIRE_FORMATS
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
 
@@ -92,7 +93,7 @@ def read(url: str, count: int) -> bytes:
 
 @pytest.mark.parametrize("protocol", canser.protocols())
 def test_a_file_goes_out_whole_and_is_reported(tmp_path: Path, protocol: str) -> None:
-    frames = vehicle(2, extended=protocol != "cantalope")
+    frames = vehicle(2, extended=WIRE_FORMATS[protocol].has_ext)
     clean = canser.encode(frames, protocol)
     (tmp_path / "run.bin").write_bytes(clean)
     options = ("--traffic", "run.bin", "--pace", "max", "--copy", "sent.bin")

@@ -16,7 +16,7 @@ from canser.files.reading import Blocks
 from canser.files.writer import WriteOptions
 from canser.files.writing import Converted, convert_opened
 from canser.simulation.traffic import vehicle
-from reference import NO_TIME, Frame
+from reference import NO_TIME, WIRE_FORMATS, Frame
 from samples import EPOCH, MICROSECOND, MILLISECOND, SECOND, array, listed, timed
 
 FORMATS = ["npy", "csv", "candump"]
@@ -25,7 +25,7 @@ PROTOCOLS = canser.protocols()
 
 
 def traffic(protocol: str) -> FrameArray:
-    return vehicle(1, extended=protocol != "cantalope")
+    return vehicle(1, extended=WIRE_FORMATS[protocol].has_ext)
 
 
 def decoded(

@@ -9,12 +9,13 @@ import canser
 from canser._frames import FRAME_DTYPE
 from canser.simulation.traffic import line_noise, vehicle
 from long import LONG
+from reference import WIRE_FORMATS
 
 
 @pytest.mark.parametrize("protocol", canser.protocols())
 @pytest.mark.parametrize("rate", [0, 0.001, 0.01])
 def test_the_right_protocol_is_first_and_fits(protocol: str, rate: float) -> None:
-    frames = vehicle(5, extended=protocol != "cantalope")
+    frames = vehicle(5, extended=WIRE_FORMATS[protocol].has_ext)
     raw = line_noise(canser.encode(frames, protocol), rate=rate)
     fits = canser.identify(raw)
     assert [fit.protocol for fit in fits if fit.fits] == [protocol]

@@ -14,11 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import canser
+import vectors
 from canser._frames import FRAME_DTYPE
 from canser.recording.header import RecordingInfo
 from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
 from canser.timing.loop import TimedDecoder
+from reference import WIRE_FORMATS
 
 US, MS, S = 1_000, 1_000_000, 1_000_000_000
 EPOCH = 1_790_000_000 * S
@@ -27,9 +29,8 @@ BYTE_NS = 1e10 / BAUDRATE
 
 PROTOCOLS = canser.protocols()
 CONTROLS = {
-    "cantalope": [b"\xff\xff\x00", b"\xff\xff\x01\x07"],  # a ping, an error
-    "seeed": [bytes.fromhex("AA5504 0500" + "00" * 14 + "09")],  # a status
-    "serial": [b""],
+    name: [control.data for vector in vectors.load(name) for control in vector.controls] or [b""]
+    for name in PROTOCOLS
 }
 every_protocol = pytest.mark.parametrize("protocol", PROTOCOLS)
 
@@ -46,7 +47,7 @@ class Timed:
 def make_stream(protocol: str, seed: int, packet_count: int, gap_count: int) -> list[Timed]:
     """Return frames, noise and control packets that come in reads of any size at any time."""
     rng = np.random.default_rng(seed)
-    frames = vehicle(0.2, seed=seed % 7 + 1, extended=protocol != "cantalope")[:packet_count]
+    frames = vehicle(0.2, seed=seed % 7 + 1, extended=WIRE_FORMATS[protocol].has_ext)[:packet_count]
     noisy, burst = rng.random(2) < 0.5
     now, parts = EPOCH, []
     for frames_of_part in np.array_split(frames, gap_count + 1):

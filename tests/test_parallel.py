@@ -36,7 +36,7 @@ from canser.codec import parallel, sinks
 from canser.codec.parallel import Ahead
 from canser.files import raw as raw_format
 from canser.simulation.traffic import line_noise, vehicle
-from reference import ID_EXT_MAX, ID_MAX, TICK_NS, Frame
+from reference import ID_EXT_MAX, ID_MAX, TICK_NS, WIRE_FORMATS, Frame
 
 # Threads must agree on noise, too: that most bytes are in no packet is not judged here.
 pytestmark = pytest.mark.filterwarnings("ignore:.* bytes are in no .* packet")
@@ -50,11 +50,6 @@ every_protocol = pytest.mark.parametrize("protocol", PROTOCOLS)
 # --- streams ---
 
 # Bytes that mean something to the protocol; the marks more often than the rest.
-ALPHABET = {
-    "serial": bytes.fromhex("AA AA AA BB BB 00 01 08 09 40 80"),
-    "seeed": bytes.fromhex("AA AA AA 55 55 C0 C1 E1 D0 01 04"),
-    "cantalope": bytes.fromhex("FF FF FF 00 01 02 08 09 12 18"),
-}
 
 
 class Counting:
@@ -88,7 +83,7 @@ class Counting:
 
 
 def packet(protocol: str, chance: random.Random, raw: int, *, odd: bool = False) -> bytes:
-    ext = protocol != "cantalope" and chance.random() < 0.4
+    ext = WIRE_FORMATS[protocol].has_ext and chance.random() < 0.4
     rtr = odd and chance.random() < 0.5
     dlc = chance.choice([0, 1, 2, 8, 8, 8])
     data = chance.randbytes(dlc) if chance.random() < 0.7 else bytes(dlc)
@@ -97,7 +92,7 @@ def packet(protocol: str, chance: random.Random, raw: int, *, odd: bool = False)
         ext,
         rtr,
         dlc,
-        odd and protocol == "serial" and chance.random() < 0.5,
+        odd and WIRE_FORMATS[protocol].has_err and chance.random() < 0.5,
         b"\0" * 8 if rtr else data.ljust(8, b"\0"),
         raw,
     )
@@ -128,7 +123,8 @@ def segment(protocol: str, kind: str, size: int, chance: random.Random, clock: C
         case "noise":
             return chance.randbytes(size)
         case "significant":
-            return bytes(chance.choices(ALPHABET[protocol], k=4 * size))
+            significant = WIRE_FORMATS[protocol].significant
+            return bytes(chance.choices(3 * significant[:2] + significant, k=4 * size))
         case "one byte":
             return chance.choice([b"\xaa", b"\xff", b"\x55", b"\xbb"]) * 4 * size
         case "zeros":
@@ -385,7 +381,7 @@ def test_more_control_packets_than_a_chunk_has_room_for(
 
 
 def capture(protocol: str, seconds: float = 2) -> bytes:
-    frames = vehicle(seconds, extended=protocol != "cantalope")
+    frames = vehicle(seconds, extended=WIRE_FORMATS[protocol].has_ext)
     return b"junk" + line_noise(canser.encode(frames, protocol)) + b"\xaa"
 
 

@@ -17,6 +17,7 @@ PAIRS = [
     for log in shared.LOGS
     for protocol in canser.protocols()
     if (log, protocol) != ("boat", "cantalope")  # it has no extended frames
+    and (shared.CAPTURES / f"{log}.{protocol}.bin").exists()
 ]
 
 

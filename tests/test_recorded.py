@@ -22,6 +22,7 @@ from canser.recording.header import RecordingInfo
 from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
 from canser.timing.clocks import FrameClock
+from reference import WIRE_FORMATS
 
 INFO = RecordingInfo("seeed", 2_000_000, 500_000, "ms", "/dev/ttyUSB0")
 EPOCH = 1_700_000_000_000_000_000
@@ -44,7 +45,7 @@ def traffic(protocol: str, seconds: float = 3) -> tuple[FrameArray, bytes, list[
 
     A piece has the bytes of a few milliseconds.
     """
-    frames = vehicle(seconds, extended=protocol != "cantalope")
+    frames = vehicle(seconds, extended=WIRE_FORMATS[protocol].has_ext)
     raw = canser.encode(frames, protocol)
     offsets = np.empty(len(frames), np.int64)
     canser.decode(raw, protocol, offsets=offsets)
@@ -218,7 +219,7 @@ def test_what_is_given_wins(tmp_path: Path) -> None:
 
 def test_a_recording_of_a_later_protocol_is_named(tmp_path: Path) -> None:
     path = record(tmp_path / "run.pcapng", [], replace(INFO, protocol="canopus"))
-    with pytest.raises(RecordingError, match="'canopus'; have: cantalope"):
+    with pytest.raises(RecordingError, match=f"'canopus'; have: {canser.protocols()[0]}"):
         canser.read(path)
     with pytest.raises(RecordingError, match="'canopus'"):
         canser.blocks(path)

@@ -19,9 +19,9 @@ import reference
 import shared
 from canser._core.buffers import FrameRoom, input_bytes
 from conftest import Run, assert_agree
-from reference import ID_EXT_MAX, ID_MAX, NO_TIME, TICK_NS, Frame
+from reference import ID_EXT_MAX, ID_MAX, NO_TIME, TICK_NS, WIRE_FORMATS, Frame
 
-PROTOCOLS = ("cantalope", "seeed", "serial")
+PROTOCOLS = canser.protocols()
 UNITS = tuple(TICK_NS)
 
 every_protocol = pytest.mark.parametrize("protocol", PROTOCOLS)
@@ -32,13 +32,6 @@ def array(frames: list[Frame]) -> npt.NDArray[np.void]:
 
 
 # --- strategies ---
-
-# Bytes that mean something to the protocol, or lie next to a bound.
-ALPHABET = {
-    "serial": bytes.fromhex("AA BB 00 01 07 08 09 1F 20 40 60 80 C0 FF"),
-    "seeed": bytes.fromhex("AA 55 C0 C1 C2 C8 C9 D0 D2 E0 E1 F0 F1 00 01 02 04 07 08 1F 20 BF FF"),
-    "cantalope": bytes.fromhex("FF 00 01 02 08 09 0F 10 18 1F E0 E8 EF F0 FE 20"),
-}
 
 any_unit = st.sampled_from(UNITS)
 any_byte = st.integers(0, 255)
@@ -63,27 +56,31 @@ def random_bytes(_protocol: str) -> st.SearchStrategy[bytes]:
 
 
 def few_significant_bytes(protocol: str, max_size: int) -> st.SearchStrategy[bytes]:
-    return st.lists(st.sampled_from(ALPHABET[protocol]), max_size=max_size).map(bytes)
+    return st.lists(st.sampled_from(WIRE_FORMATS[protocol].significant), max_size=max_size).map(
+        bytes
+    )
 
 
 def significant_bytes(protocol: str) -> st.SearchStrategy[bytes]:
     # The marks more often than the rest: without them nothing ever starts.
-    alphabet = ALPHABET[protocol] + 2 * ALPHABET[protocol][:3]
+    alphabet = WIRE_FORMATS[protocol].significant
+    alphabet += 2 * alphabet[:3]
     return few_significant_bytes(protocol, 100) | long_bytes(alphabet)
 
 
 @st.composite
 def good_frames(draw: st.DrawFn, protocol: str) -> Frame:
     """Draw a frame that the format carries without loss, its time left out."""
-    ext = protocol != "cantalope" and draw(st.booleans())
+    significant = WIRE_FORMATS[protocol].significant
+    ext = WIRE_FORMATS[protocol].has_ext and draw(st.booleans())
     limit = ID_EXT_MAX if ext else ID_MAX
     id_ = draw(st.sampled_from([0, 0x55, 0xAA, 0x555, ID_MAX, limit]) | st.integers(0, limit))
     rtr = draw(st.booleans())
-    err = protocol == "serial" and draw(st.booleans())
+    err = WIRE_FORMATS[protocol].has_err and draw(st.booleans())
     dlc = draw(st.integers(0, 8))
     data = b"" if rtr else draw(st.binary(min_size=dlc, max_size=dlc))
     if draw(st.booleans()):
-        data = bytes(ALPHABET[protocol][byte % len(ALPHABET[protocol])] for byte in data)
+        data = bytes(significant[byte % len(significant)] for byte in data)
     return Frame(id_, ext, rtr, dlc, err, data.ljust(8, b"\0"))
 
 
@@ -379,7 +376,7 @@ def long_noise(protocol: str, chance: random.Random) -> bytes:
         part = bytearray().join(chance.choices(units, k=length))[:length]
         if chance.random() < 0.3:
             for place in chance.choices(range(len(part)), k=len(part) // 20):
-                part[place] = chance.choice(ALPHABET[protocol])
+                part[place] = chance.choice(WIRE_FORMATS[protocol].significant)
         stream += part
         # Noise that stands by itself among frames.
         good = Frame(chance.randrange(ID_MAX), dlc=8, data=chance.randbytes(8), ts=0)
@@ -452,7 +449,7 @@ def test_many_control_packets(protocol: str) -> None:
 def test_decode_gives_back_what_encode_sent(protocol: str, data: st.DataObject) -> None:
     frames = data.draw(st.lists(good_frames(protocol), max_size=20), "frames")
     unit = data.draw(any_unit, "unit")
-    if protocol == "serial":
+    if WIRE_FORMATS[protocol].has_clock:
         # The first time is the counter's own; then any step that a signed difference can tell.
         # In seconds the steps are shorter, or the sum would leave the 64 bits of a time.
         most = 2**20 if unit == "s" else 2**31

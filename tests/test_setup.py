@@ -20,6 +20,7 @@ from canser.live.setup import Setup
 from canser.simulation.faults import Faults
 from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import vehicle
+from reference import WIRE_FORMATS
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
 
@@ -451,7 +452,7 @@ def test_a_frame_goes_out_though_no_answer_came(monkeypatch: pytest.MonkeyPatch)
 @posix
 @pytest.mark.parametrize("protocol", canser.protocols())
 def test_a_port_without_a_configuration_sends_frames_only(protocol: str) -> None:
-    frames = vehicle(0.2, extended=protocol != "cantalope")
+    frames = vehicle(0.2, extended=WIRE_FORMATS[protocol].has_ext)
     raw = canser.encode(frames, protocol)
     with plugged(protocol) as (device, port):
         assert not port._setup.active

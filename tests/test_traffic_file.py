@@ -19,6 +19,7 @@ from canser.files.candump import Writer
 from canser.recording.header import RecordingInfo
 from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
+from reference import WIRE_FORMATS
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
 
@@ -122,7 +123,7 @@ def test_a_recording_on_the_standard_input_has_its_own_protocol(
 @pytest.mark.parametrize("protocol", canser.protocols())
 def test_a_pipe_is_judged_block_by_block(tmp_path: Path, device: "Device", protocol: str) -> None:
     """Of what comes behind the noise nothing is sent."""
-    good = canser.encode(vehicle(5, extended=protocol != "cantalope"), protocol)
+    good = canser.encode(vehicle(5, extended=WIRE_FORMATS[protocol].has_ext), protocol)
     assert len(good) > 1 << 16
     reader, writer = os.pipe()
 

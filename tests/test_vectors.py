@@ -11,13 +11,6 @@ from vectors import Vector
 
 VECTORS = vectors.load_all()
 
-# What the wire of each protocol can do wrong.
-REASONS = {
-    "cantalope": {"dlc", "command", "cut"},
-    "seeed": {"marker", "type", "dlc", "id", "end", "sum", "field", "cut"},
-    "serial": {"marker", "dlc", "end", "cut"},
-}
-
 every_vector = pytest.mark.parametrize("vector", VECTORS, ids=str)
 
 
@@ -79,7 +72,7 @@ def test_every_protocol_has_vectors() -> None:
 @pytest.mark.parametrize("protocol", canser.protocols())
 def test_every_reason_has_a_vector(protocol: str) -> None:
     seen = {reason for vector in vectors.load(protocol) for reason in vector.skipped}
-    assert seen == REASONS[protocol]
+    assert seen == reference.WIRE_FORMATS[protocol].reasons
 
 
 GOOD = """

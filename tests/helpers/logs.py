@@ -10,13 +10,14 @@ from canser._frames import NO_TIME, FrameArray
 from canser.recording.header import RecordingInfo
 from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
+from reference import WIRE_FORMATS
 from samples import EPOCH
 
 MS = 1_000_000
 
 
 def traffic(protocol: str) -> FrameArray:
-    return vehicle(2, extended=protocol != "cantalope")
+    return vehicle(2, extended=WIRE_FORMATS[protocol].has_ext)
 
 
 def raw(path: Path, protocol: str) -> Path:

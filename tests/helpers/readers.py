@@ -11,11 +11,12 @@ import canser
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser.simulation.traffic import vehicle
 from device import PATIENCE, Device
+from reference import WIRE_FORMATS
 from samples import listed
 
 
 def traffic(seconds: float, protocol: str = "seeed") -> FrameArray:
-    return vehicle(seconds, extended=protocol != "cantalope")
+    return vehicle(seconds, extended=WIRE_FORMATS[protocol].has_ext)
 
 
 def content(frames: FrameArray) -> list[tuple[Any, ...]]:

@@ -291,16 +291,40 @@ def encode_cantalope(frame: Frame, _tick_ns: int) -> bytes:
     return header.to_bytes(2, "big") + data
 
 
-PROBES: dict[str, Callable[[Candidate], Found]] = {
-    "cantalope": probe_cantalope,
-    "seeed": probe_seeed,
-    "serial": probe_serial,
-}
+class Format(NamedTuple):
+    """One wire format, and what tests must know of it."""
 
-ENCODERS: dict[str, Callable[[Frame, int], bytes]] = {
-    "cantalope": encode_cantalope,
-    "seeed": encode_seeed,
-    "serial": encode_serial,
+    probe: Callable[[Candidate], Found]
+    encode: Callable[[Frame, int], bytes]
+    reasons: set[str]  # what the wire can do wrong
+    significant: bytes  # bytes that mean something, or lie next to a bound; marks first
+    has_clock: bool = False
+    has_ext: bool = True
+    has_err: bool = False
+
+
+WIRE_FORMATS = {
+    "cantalope": Format(
+        probe_cantalope,
+        encode_cantalope,
+        {"dlc", "command", "cut"},
+        bytes.fromhex("FF 00 01 02 08 09 0F 10 18 1F E0 E8 EF F0 FE 20"),
+        has_ext=False,
+    ),
+    "seeed": Format(
+        probe_seeed,
+        encode_seeed,
+        {"marker", "type", "dlc", "id", "end", "sum", "field", "cut"},
+        bytes.fromhex("AA 55 C0 C1 C2 C8 C9 D0 D2 E0 E1 F0 F1 00 01 02 04 07 08 1F 20 BF FF"),
+    ),
+    "serial": Format(
+        probe_serial,
+        encode_serial,
+        {"marker", "dlc", "end", "cut"},
+        bytes.fromhex("AA BB 00 01 07 08 09 1F 20 40 60 80 C0 FF"),
+        has_clock=True,
+        has_err=True,
+    ),
 }
 
 
@@ -368,7 +392,7 @@ def decode(stream: bytes, protocol: str, tick_ns: int = 1_000_000, *, flush: boo
     With flush=False the stream has not ended: a candidate that lacks bytes stays `pending`
     instead of being a reject of one byte with reason `cut`.
     """
-    probe = PROBES[protocol]
+    probe = WIRE_FORMATS[protocol].probe
     result = Result(stats=Stats(bytes_in=len(stream)))
     stats = result.stats
     clock = Clock(tick_ns, stats)
@@ -421,7 +445,7 @@ def encode(frames: Iterable[Frame], protocol: str, tick_ns: int = 1_000_000) -> 
                 raise ValueError("the dlc is over 8")
             if frame.id > (ID_EXT_MAX if frame.ext else ID_MAX):
                 raise ValueError("the id is out of range")
-            packets.append(ENCODERS[protocol](frame, tick_ns))
+            packets.append(WIRE_FORMATS[protocol].encode(frame, tick_ns))
         except ValueError as problem:
             raise ValueError(f"frame {index}: {problem}") from None
     return b"".join(packets)
