@@ -264,7 +264,7 @@ def pieces(stream: Stream, rounds: int) -> Iterator[Row]:
 def small_calls(stream: Stream, rounds: int) -> Iterator[Row]:
     """Decode 100 bytes into a new array: the time of the call."""
     small, protocol, decoder = stream.raw[:SMALL].tobytes(), stream.protocol, stream.decoder
-    assert len(canser.decode(small, protocol)) == len(canser.Decoder(protocol).feed(small)) > 0
+    assert len(canser.decode(small, protocol)) >= len(canser.Decoder(protocol).feed(small)) > 0
 
     def repeat_feed() -> None:
         for _ in range(SMALL_CALLS):
