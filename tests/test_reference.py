@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 import canser
 import reference
 import shared
+import vectors
 from canser._core.buffers import FrameRoom, input_bytes
 from conftest import Run, assert_agree
 from reference import ID_EXT_MAX, ID_MAX, NO_TIME, TICK_NS, WIRE_FORMATS, Frame
@@ -168,6 +169,7 @@ def odd_cantalope(draw: st.DrawFn) -> bytes:
     return draw(st.sampled_from(commands) | st.just(header.to_bytes(2, "big") + body))
 
 
+# Packets of other dialects, and those that are almost good, where there are any.
 ODD: dict[str, st.SearchStrategy[bytes]] = {
     "cantalope": odd_cantalope(),
     "seeed": odd_seeed() | fixed_seeed(),
@@ -205,10 +207,11 @@ def damaged(draw: st.DrawFn, stream: bytes) -> bytes:
 def packets_and_noise(draw: st.DrawFn, protocol: str) -> bytes:
     """Packets good and odd, cut packets and noise, and damage on top of it all."""
     packets = good_packets(protocol)
-    cut = st.builds(lambda packet, cut: packet[:cut], packets | ODD[protocol], st.integers(1, 19))
+    odd = ODD.get(protocol, packets)
+    cut = st.builds(lambda packet, cut: packet[:cut], packets | odd, st.integers(1, 19))
     noise = st.binary(max_size=6) | few_significant_bytes(protocol, 6)
     count = draw(st.integers(0, 16))
-    anything = packets | packets | ODD[protocol] | cut | noise
+    anything = packets | packets | odd | cut | noise
     segments = draw(st.lists(anything, min_size=count, max_size=count))
     return draw(damaged(b"".join(segments)))
 
@@ -219,7 +222,7 @@ def hostile_bytes(draw: st.DrawFn, protocol: str) -> bytes:
 
     Long enough for code that looks at many positions at once.
     """
-    odd = ODD[protocol].map(lambda packet: packet[:-1])
+    odd = ODD.get(protocol, good_packets(protocol)).map(lambda packet: packet[:-1])
     pattern = draw(few_significant_bytes(protocol, 5) | odd | st.sampled_from([b"\xaa", b"\xff"]))
     times = draw(st.integers(0, 700 // (len(pattern) + 1)))
     good = draw(st.lists(good_packets(protocol), max_size=3))
@@ -319,7 +322,8 @@ def fixed(body: str) -> bytes:
     return b"\xaa\x55" + content + bytes([sum(content) & 0xFF])
 
 
-# What noise is made of: whole packets and what nearly is one, by the rule that it breaks.
+# What noise is made of: whole packets and what nearly is one, by the rule that it breaks; of
+# other protocols their vectors.
 UNITS_OF_NOISE = {
     "cantalope": [
         *hex_units("09", "0F", "FF", "FF FF", "FF FF 02", "FF FF FF 01", "FF FF 02 00 00"),
@@ -367,11 +371,16 @@ UNITS_OF_NOISE = {
 }
 
 
+def units_of_noise(protocol: str) -> list[bytes]:
+    vector_streams = [vector.stream for vector in vectors.load(protocol)]
+    return UNITS_OF_NOISE.get(protocol, vector_streams)
+
+
 def long_noise(protocol: str, chance: random.Random) -> bytes:
     """Return stretches of one, two or many units each: sparse, dense, regular and not."""
     stream = bytearray()
     while len(stream) < 6000:
-        units = chance.choices(UNITS_OF_NOISE[protocol], k=chance.choice((1, 2, 2, 3, 12)))
+        units = chance.choices(units_of_noise(protocol), k=chance.choice((1, 2, 2, 3, 12)))
         length = chance.choice((20, 200, 600))
         part = bytearray().join(chance.choices(units, k=length))[:length]
         if chance.random() < 0.3:
@@ -394,7 +403,7 @@ def test_long_noise(protocol: str, seed: int) -> None:
         judge(protocol, stream, cuts, rooms, "ms")
 
 
-# Candidates without end, and no packet among them.
+# Candidates without end, and no packet among them; of other protocols what is none in any.
 DENSE = {
     "cantalope": "09",
     "seeed": "AA D8 55 01",
@@ -406,9 +415,9 @@ DENSE = {
 @pytest.mark.parametrize("seed", range(4))
 def test_packets_in_dense_noise(protocol: str, seed: int) -> None:
     chance = random.Random(seed)
-    dense = bytes.fromhex(DENSE[protocol])
+    dense = bytes.fromhex(DENSE.get(protocol, "3F"))
     stream = bytearray()
-    for unit in UNITS_OF_NOISE[protocol]:
+    for unit in units_of_noise(protocol):
         stream += dense * (chance.randrange(90, 220) // len(dense))
         stream += unit * chance.randrange(1, 4)
     judge(protocol, bytes(stream), [], [5000], "ms")
@@ -418,21 +427,23 @@ def test_packets_in_dense_noise(protocol: str, seed: int) -> None:
 @pytest.mark.parametrize("unit", range(12))
 def test_one_unit_over_and_over(protocol: str, unit: int) -> None:
     # Behind runs of every length, so that it lies anywhere in what is looked at at once.
-    units = UNITS_OF_NOISE[protocol]
+    units = units_of_noise(protocol)
     for chosen in units[unit::12]:
         stream = b"".join(chosen * times + b"\x0f\xbf" * times for times in range(1, 24))
         judge(protocol, stream, [], [5000], "ms")
 
 
-@every_protocol
-def test_many_control_packets(protocol: str) -> None:
+@pytest.mark.parametrize(
+    ("protocol", "packets"),
+    [
+        ("cantalope", b"\xff\xff\x00\x24\x60"),
+        ("seeed", b"\xaa\x55\x04" + bytes(16) + b"\x04\xaa\xc0\x23\x01\x55"),
+        ("serial", bytes.fromhex("AA 00 00 00 00 00 01 00 00 00 BB")),
+    ],
+)
+def test_many_control_packets(protocol: str, packets: bytes) -> None:
     # More of them in one piece than any buffer between C and Python is likely to hold.
-    packets = {
-        "cantalope": b"\xff\xff\x00\x24\x60",
-        "seeed": b"\xaa\x55\x04" + bytes(16) + b"\x04\xaa\xc0\x23\x01\x55",
-        "serial": bytes.fromhex("AA 00 00 00 00 00 01 00 00 00 BB"),
-    }
-    stream = packets[protocol] * 5000
+    stream = packets * 5000
     expected = reference.decode(stream, protocol)
     for room in (1000, 5000, 6000):
         run = Run(protocol, rooms=[room])
