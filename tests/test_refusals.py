@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 import canser
 import conftest  # noqa: F401 - Hypothesis' settings
 from canser._frames import FrameArray
-from canser.codec.refusals import Refusals
+from canser.codec.refusals import Refusals, carries
 from reference import NO_TIME, Frame
 from samples import FRAMES, array, listed
 
@@ -29,6 +29,13 @@ def can_be_encoded(frame: FrameArray, protocol: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_which_kinds_a_protocol_carries(protocol: str) -> None:
+    for ext, err in ((False, False), (True, False), (False, True), (True, True)):
+        frame = array(Frame(0x100, ext, err=err, ts=0))
+        assert carries(protocol, ext=ext, err=err) == can_be_encoded(frame, protocol)
 
 
 @given(FRAMES, st.sampled_from(PROTOCOLS), st.data())

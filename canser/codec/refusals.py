@@ -4,9 +4,16 @@ import numpy as np
 
 from canser._core.packets import refuse
 from canser._core.table import REFUSAL_NAMES, REFUSAL_TIME, find_protocol
-from canser._frames import FrameArray
+from canser._frames import FRAME_DTYPE, FrameArray
 
-__all__ = ["Refusals"]
+__all__ = ["Refusals", "carries"]
+
+
+def carries(protocol: str, *, ext: bool = False, err: bool = False) -> bool:
+    """Return whether a protocol has extended frames, or error frames, as is asked."""
+    frame = np.zeros(1, FRAME_DTYPE)
+    frame["ext"], frame["err"] = ext, err
+    return not refuse(find_protocol(protocol), frame).any()
 
 
 class Refusals:

@@ -10,14 +10,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-import numpy as np
-
-from canser._frames import FRAME_DTYPE, FrameArray
+from canser._frames import FrameArray
 from canser._output import check_apart, whole_file
 from canser._protocols import TS_UNITS, protocols
 from canser._signals import Stop, stop_on_signals
-from canser.codec.decoder import encode
-from canser.codec.refusals import Refusals
+from canser.codec.refusals import Refusals, carries
 from canser.commands._numbers import duration, real, whole
 from canser.commands._parser import (
     BAD_DATA,
@@ -257,7 +254,7 @@ def _traffic(args: argparse.Namespace) -> tuple[FrameArray | Iterable[FrameArray
     if args.traffic is None:
         if args.loop:
             raise CallError("--loop repeats a file: name it with --traffic, or leave --loop out")
-        ext = _carries_extended(args.protocol)
+        ext = carries(args.protocol, ext=True)
         if args.seconds is None:
             return vehicle(_ROUND_S, extended=ext), True
         return _made(args.seconds, extended=ext), False
@@ -330,16 +327,6 @@ class _File:
         if not self._told_remarks:
             self._told_remarks = True
             write_remarks(file.blocks)
-
-
-def _carries_extended(protocol: str) -> bool:
-    one = np.zeros(1, FRAME_DTYPE)
-    one["ext"] = True
-    try:
-        encode(one, protocol)
-    except ValueError:
-        return False
-    return True
 
 
 def _summary(report: SimulatorReport) -> Iterator[str]:
