@@ -32,6 +32,7 @@ extern "C" {
  * is one C file in protocols/, which defines `canser_protocol_NAME`, and one row here. */
 #ifndef CANSER_PROTOCOLS
 #define CANSER_PROTOCOLS(ROW)                                                                      \
+    ROW(canet13, 13)                                                                               \
     ROW(cantalope, 10)                                                                             \
     ROW(seeed, 20)                                                                                 \
     ROW(serial, 19)

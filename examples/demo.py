@@ -96,8 +96,8 @@ def main() -> None:
     for adapter in adapters:
         print(adapter.row())
     print(
-        "\nIntact are the frames that the line left alone. In cantalope nothing marks a frame's"
-        "\nstart: after a lost byte wrong frames come out until the chain is back in step."
+        "\nIntact are the frames that the line left alone. In cantalope and canet13 nothing marks"
+        "\na frame's start: after a lost byte wrong frames come out until the scan is back in step."
     )
     print(f"\nThe recordings and logs are in {FOLDER}; try: canser info {FOLDER / 'seeed.pcapng'}")
     if not all(adapter.complete for adapter in adapters):

@@ -169,8 +169,17 @@ def odd_cantalope(draw: st.DrawFn) -> bytes:
     return draw(st.sampled_from(commands) | st.just(header.to_bytes(2, "big") + body))
 
 
+@st.composite
+def odd_canet13(draw: st.DrawFn) -> bytes:
+    """Draw any info byte, any id, and 8 bytes, of which not all are data."""
+    info = draw(any_byte | st.sampled_from([0x08, 0x88, 0xC8, 0x09, 0x18, 0x28]))
+    id_ = draw(any_id | st.integers(0, ID_MAX))
+    return bytes([info]) + id_.to_bytes(4, "big") + draw(st.binary(min_size=8, max_size=8))
+
+
 # Packets of other dialects, and those that are almost good, where there are any.
 ODD: dict[str, st.SearchStrategy[bytes]] = {
+    "canet13": odd_canet13(),
     "cantalope": odd_cantalope(),
     "seeed": odd_seeed() | fixed_seeed(),
     "serial": odd_serial(),

@@ -34,6 +34,15 @@ typedef struct {
 } set;
 
 static const set sets[] = {
+    /* Any order of headers, ids and fill. */
+    {PLAIN_canet13, 1, "8/88/0/10/9:7"},
+    {PLAIN_canet13, 1, "0/80:14"},
+    {PLAIN_canet13, 4, "0/88/C0 0 0 0/7/8 0"},
+    /* All headers, and the bounds of both ids. */
+    {PLAIN_canet13, 1, "* 0/1 0/FF 7/8 FF 1 2 3 4 5 6 7 8 0"},
+    {PLAIN_canet13, 1, "88/C8 1F/20/FF FF/0 0/FF * 8/0 0 0 0/7 FF 1 2 3 8/0 0 0 0 1"},
+    {PLAIN_canet13, 1, "0/8/48/9 0/1 0 7/8 0/FF 1 2 3 4 5 6 7 8/0 0 0 0 5"},
+
     /* Any order of headers, fill and commands. */
     {PLAIN_cantalope, 1, "FF/0/1/8/9/F/11:6"},
     {PLAIN_cantalope, 1, "FF/0/1/2/12:8"},

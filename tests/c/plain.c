@@ -178,6 +178,29 @@ static finding look_cantalope(const uint8_t *p, size_t n, canser_frame *row)
     return frame(2 + (size_t)dlc, row, id, false, rtr, dlc, p + 2);
 }
 
+/* ext rtr 0 0 dlc[3..0] | id, 4, the high byte first | 8 bytes */
+static finding look_canet13(const uint8_t *p, size_t n, canser_frame *row)
+{
+    bool ext = (p[0] & 0x80) != 0;
+    bool rtr = (p[0] & 0x40) != 0;
+    uint8_t dlc = p[0] & 0x0F;
+
+    if ((p[0] & 0x20) != 0 || (p[0] & 0x10) != 0)
+        return reject(CANSER_REJECT_TYPE);
+    if (dlc > 8)
+        return reject(CANSER_REJECT_DLC);
+    if (n < 5)
+        return more();
+    uint32_t id = 0;
+    for (int i = 1; i <= 4; i++)
+        id = id * 256 + p[i];
+    if (id > (ext ? 0x1FFFFFFFu : 0x7FFu))
+        return reject(CANSER_REJECT_ID);
+    if (n < 13)
+        return more();
+    return frame(13, row, id, ext, rtr, dlc, p + 5);
+}
+
 /* The time of the next frame, its counter being `raw`, in nanoseconds. Each step
  * is taken as a signed number of 32 bits; but if one of the next four frames
  * behind a clock that ran in line is near where it stood, then from there. */
@@ -295,12 +318,34 @@ static size_t encode_cantalope(const canser_frame *f, int64_t tick_ns, uint8_t *
     return 2 + put_data(out + 2, f, f->dlc);
 }
 
+static size_t encode_canet13(const canser_frame *f, int64_t tick_ns, uint8_t *out)
+{
+    uint32_t id = f->id;
+
+    (void)tick_ns;
+    out[0] = (uint8_t)((f->ext ? 0x80 : 0) + (f->rtr ? 0x40 : 0) + f->dlc);
+    for (int i = 4; i >= 1; i--) {
+        out[i] = (uint8_t)(id % 256);
+        id /= 256;
+    }
+    return 5 + put_data(out + 5, f, 8);
+}
+
 /* The protocols: one row for each of the list in canser.h. */
 typedef struct {
     plain_format format;
     finding (*look)(const uint8_t *p, size_t n, canser_frame *row);
     size_t (*encode)(const canser_frame *f, int64_t tick_ns, uint8_t *out);
 } row_of_protocol;
+
+static const row_of_protocol row_canet13 = {
+    {.name = "canet13",
+     .has_ext = true,
+     .baudrate = 115200,
+     .alphabet = "\x08\x88\x40\x00\x00\x00\x09\x1F"},
+    look_canet13,
+    encode_canet13,
+};
 
 static const row_of_protocol row_cantalope = {
     {.name = "cantalope", .baudrate = 115200, .alphabet = "\xFF\xFF\xFF\x01\x00\x08\x09\x12"},

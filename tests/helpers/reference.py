@@ -1,7 +1,8 @@
 """A slow decoder in plain Python: the second opinion on every byte.
 
 Written from the documents (the python-can documentation, CAN over Serial; Seeed, Serial port
-(USB) to CAN protocol definition; CANtalope Serial Protocol; design: wire formats) and never from
+(USB) to CAN protocol definition; CANtalope Serial Protocol; the manuals of converters to Ethernet;
+design: wire formats) and never from
 the C. It knows one way only: read a packet field by field in the order of the wire, and step one
 byte when that fails. It is not fast, holds no state between calls, and imports neither numpy nor
 canser, so that it cannot share a mistake with what it judges.
@@ -291,6 +292,29 @@ def encode_cantalope(frame: Frame, _tick_ns: int) -> bytes:
     return header.to_bytes(2, "big") + data
 
 
+# canet13: info | id u32 BE | 8 bytes
+#          info: bit 7 extended, bit 6 remote, bits 5 and 4 zero, bits 3..0 dlc
+
+
+def probe_canet13(candidate: Candidate) -> Found:
+    info = candidate.byte()
+    candidate.require(info & 0x30 == 0, "type")
+    ext, rtr, dlc = bool(info & 0x80), bool(info & 0x40), info & 0x0F
+    candidate.require(dlc <= DLC_MAX, "dlc")
+    id_ = int.from_bytes(candidate.take(4), "big")
+    candidate.require(id_ <= (ID_EXT_MAX if ext else ID_MAX), "id")
+    data = candidate.take(8)  # whatever the dlc says, and in remote frames, too
+    return Found(Frame(id_, ext, rtr, dlc, data=payload(data[:dlc], rtr)))
+
+
+def encode_canet13(frame: Frame, _tick_ns: int) -> bytes:
+    if frame.err:
+        raise ValueError("the format has no error frames")
+    info = frame.ext << 7 | frame.rtr << 6 | frame.dlc
+    data = b"" if frame.rtr else frame.data[: frame.dlc]
+    return bytes([info]) + frame.id.to_bytes(4, "big") + data.ljust(8, b"\0")
+
+
 class Format(NamedTuple):
     """One wire format, and what tests must know of it."""
 
@@ -304,6 +328,12 @@ class Format(NamedTuple):
 
 
 WIRE_FORMATS = {
+    "canet13": Format(
+        probe_canet13,
+        encode_canet13,
+        {"type", "dlc", "id", "cut"},
+        bytes.fromhex("85 08 00 01 07 09 0F 10 1F 20 30 40 80 88 C0 C8 FF"),
+    ),
     "cantalope": Format(
         probe_cantalope,
         encode_cantalope,

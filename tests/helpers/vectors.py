@@ -38,6 +38,7 @@ SOURCES = (
     "python-can documentation, CAN over Serial",
     "Seeed, Serial port (USB) to CAN protocol definition",
     "CANtalope Serial Protocol",
+    "USR-CANET200 manual, CAN frame format",
     "design: wire formats",
 )
 
