@@ -539,7 +539,7 @@ def test_a_source_is_not_replaced(tmp_path: Path) -> None:
 
 def test_raw_bytes_do_not_become_other_raw_bytes(tmp_path: Path) -> None:
     path = saved(tmp_path / "run.bin", FRAMES, "serial")
-    with pytest.raises(ValueError, match="IN and OUT are both raw bytes"):
+    with pytest.raises(ValueError, match="input and output are both raw bytes"):
         canser.convert(path, tmp_path / "x.bin", "serial")
 
 
