@@ -233,7 +233,7 @@ class RawReader(Reader):
         self._end()
 
     def _end(self) -> None:
-        """Keep the `doubt`: after the end the bytes are no longer at hand."""
+        """Keep the `doubt`: after the end the bytes cannot be read again."""
         self._ended_doubt = self.doubt
 
     def _room(self) -> tuple[FrameArray, Offsets | None]:
