@@ -6,10 +6,10 @@ from typing import Final
 
 from canser.errors import CanserWarning, FormatError
 
-__all__ = ["Tell", "Unkept", "tell_all"]
+__all__ = ["AddRemark", "Unkept", "report_remarks"]
 
 # Takes a remark about a file: a line of text without the file's name.
-Tell = Callable[[str], object]
+AddRemark = Callable[[str], object]
 
 # Names that are counted one by one: channels and directions. A log of real buses has fewer.
 # Otherwise a damaged file, with a new name in each line, would need memory without bound.
@@ -117,11 +117,11 @@ def _printable(name: str) -> str:
     return cut if cut and cut.isprintable() else ascii(cut)
 
 
-def tell_all(remarks: Iterable[str], name: str, tell: Tell | None) -> None:
-    """Pass the remarks about a file to `tell`; without one, warn of each."""
+def report_remarks(remarks: Iterable[str], name: str, add_remark: AddRemark | None) -> None:
+    """Pass the remarks about a file to `add_remark`; without one, warn of each."""
     for remark in remarks:
-        if tell is None:
+        if add_remark is None:
             # The warning points to the code that asks the calling generator for its next block.
             warnings.warn(f"{name}: {remark}", CanserWarning, stacklevel=3)
         else:
-            tell(remark)
+            add_remark(remark)

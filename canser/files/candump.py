@@ -32,7 +32,7 @@ from canser._input import Input
 from canser._rows import Row
 from canser.errors import FormatError
 from canser.files import _text
-from canser.files._remarks import Tell, Unkept, tell_all
+from canser.files._remarks import AddRemark, Unkept, report_remarks
 from canser.files.foreign import is_text
 from canser.files.reader import DecodedReader, Reader, ReadOptions
 from canser.files.writer import WriteOptions
@@ -174,7 +174,7 @@ def _dates(ts: npt.NDArray[np.int64]) -> _text.Column:
 
 
 def parse(
-    file: BinaryIO, name: str, tell: Tell | None = None, bus: str | None = None
+    file: BinaryIO, name: str, add_remark: AddRemark | None = None, bus: str | None = None
 ) -> Iterator[FrameArray]:
     """Yield the frames of a log, block by block.
 
@@ -186,7 +186,7 @@ def parse(
         A file that is open for reading bytes.
     name
         Name of the file in messages.
-    tell
+    add_remark
         Called at the end with each remark on what the log says and the frames do not hold. Without
         it, each remark is a CanserWarning.
     bus
@@ -195,7 +195,7 @@ def parse(
     unkept = Unkept(bus)
     yield from _text.in_blocks(_rows(file, name, unkept))
     unkept.check_bus(name)
-    tell_all(unkept.remarks(), name, tell)
+    report_remarks(unkept.remarks(), name, add_remark)
 
 
 def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[Row]:

@@ -10,9 +10,10 @@ A format is a module, or another object, with these attributes:
 - `about`: what a file of this format is, such as "a candump log".
 
 Other packages add formats by entry points of the group `canser.formats`. The entry point has the
-name of the format. There `read(file, name, tell)` takes a file that is open for reading bytes, its
-name in messages, and a function. It yields arrays of FRAME_DTYPE, and at the end passes to `tell`
-a remark for each thing that the frames do not hold. `write(file)` returns a `Writer`.
+name of the format. There `read(file, name, add_remark)` takes a file that is open for reading
+bytes, its name in messages, and a function. It yields arrays of FRAME_DTYPE. At the end it calls
+`add_remark` with a text for each thing that the frames do not hold. `write(file)` returns a
+`Writer`.
 """
 
 import shlex

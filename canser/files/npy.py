@@ -15,7 +15,7 @@ from numpy.lib import format as npy
 from canser._frames import FRAME_DTYPE, FrameArray, reason_invalid
 from canser._input import Input
 from canser.errors import FormatError
-from canser.files._remarks import Tell, tell_all
+from canser.files._remarks import AddRemark, report_remarks
 from canser.files.reader import DecodedReader, Reader, ReadOptions
 from canser.files.writer import WriteOptions
 
@@ -87,7 +87,7 @@ class Writer:
         return []
 
 
-def parse(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[FrameArray]:
+def parse(file: BinaryIO, name: str, add_remark: AddRemark | None = None) -> Iterator[FrameArray]:
     """Yield the frames of a file, block by block.
 
     FormatError if the file holds no array of FRAME_DTYPE, or fewer frames than its header says.
@@ -98,7 +98,7 @@ def parse(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[Frame
         A file that is open for reading bytes.
     name
         Name of the file in messages.
-    tell
+    add_remark
         Called at the end with a remark if bytes follow the array. Without it, the remark is a
         CanserWarning.
     """
@@ -129,7 +129,8 @@ def parse(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[Frame
     while more := len(file.read(_BLOCK)):
         behind += more
     if behind:
-        tell_all([f"bytes behind the array, which are not read: {behind:,}"], name, tell)
+        remark = f"bytes behind the array, which are not read: {behind:,}"
+        report_remarks([remark], name, add_remark)
 
 
 def _check(frames: FrameArray, first: int, name: str) -> None:

@@ -9,13 +9,13 @@ from canser._core.buffers import Offsets
 from canser._frames import FrameArray, put_records
 from canser._input import Input
 from canser.codec.decoder import Decoder
-from canser.files._remarks import Tell
+from canser.files._remarks import AddRemark
 from canser.recording.header import RecordingInfo
 
 __all__ = ["DecodedReader", "Parse", "ReadOptions", "Reader", "refill"]
 
 # Yields the frames of a file. Takes the file, its name in messages, and what takes remarks.
-Parse = Callable[[BinaryIO, str, Tell], Iterator[FrameArray]]
+Parse = Callable[[BinaryIO, str, AddRemark], Iterator[FrameArray]]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
