@@ -182,7 +182,7 @@ class Walk(Iterator[WalkedBlock]):
         return next(self._blocks)
 
     def gather(self, gatherer: BlockGatherer) -> DataRun | None:
-        """Read the next blocks at once if none of them needs a closer check, otherwise None."""
+        """Return the next blocks that need no closer check as one run, None if there are none."""
         pending = self._gap or self._lost or self._torn or self._damaged is not None
         if pending or self._order != "<" or self._ours < 0 or self._ended:
             return None
