@@ -135,7 +135,7 @@ def test_times_of_day_go_out_from_the_first_frame_on(tmp_path: Path, unit: str) 
     path = saved(tmp_path / "x.npy", timed(EPOCH, EPOCH + SECOND), timed(EPOCH + 2 * SECOND))
     raw, done = encoded(path, "serial", ts_unit=unit)
     assert canser.decode(raw, "serial", ts_unit=unit)["ts"].tolist() == [0, SECOND, 2 * SECOND]
-    assert done.remarks == ["times go out from the first frame on"]
+    assert done.remarks == ["times are written relative to the first frame"]
 
 
 def test_times_of_day_go_out_from_the_first_of_all_blocks_on(tmp_path: Path) -> None:
@@ -162,7 +162,7 @@ def test_the_first_times_that_the_clock_cannot_count_are_moved(tmp_path: Path, f
     path = saved(tmp_path / "x.npy", timed(first))
     raw, done = encoded(path, "serial")
     assert raw == canser.encode(timed(0), "serial")
-    assert done.remarks == ["times go out from the first frame on"]
+    assert done.remarks == ["times are written relative to the first frame"]
 
 
 @pytest.mark.parametrize("first", [0, EPOCH])

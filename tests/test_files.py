@@ -484,7 +484,7 @@ def test_times_before_1970_are_0_in_a_recording_and_unknown_ones_those_before(
     texts = sorted(str(warning.message).split(": ", 1)[1] for warning in caught)
     assert texts == [
         "frames with a time before 1970, written as 0: 1",
-        "frames without a time, put right behind those before them: 2",
+        "frames without a time, which get that of the frame before: 2",
     ]
     times = canser.read(tmp_path / "x.pcapng")["ts"]
     assert np.abs(times - [0, 0, SECOND, SECOND]).max() <= MILLISECOND
@@ -539,7 +539,7 @@ def test_a_source_is_not_replaced(tmp_path: Path) -> None:
 
 def test_raw_bytes_do_not_become_other_raw_bytes(tmp_path: Path) -> None:
     path = saved(tmp_path / "run.bin", FRAMES, "serial")
-    with pytest.raises(ValueError, match="IN and OUT are both raw bytes"):
+    with pytest.raises(ValueError, match="input and output are both raw bytes"):
         canser.convert(path, tmp_path / "x.bin", "serial")
 
 

@@ -707,7 +707,7 @@ def test_an_old_file_that_was_set_aside_earlier_is_not_replaced(tmp_path: Path) 
         path.write_text("new")
         old = tmp_path / f"run{number}.pcapng.old"
         old.write_text("old")
-        with pytest.raises(FileExistsError, match=rf"{old.name} is there already, as a run"):
+        with pytest.raises(FileExistsError, match=rf"{old.name} is there already: an earlier run"):
             RecordingFiles(
                 str(tmp_path / "run.pcapng"), INFO, force=True, size=1 << 20 if number else None
             )

@@ -1,1 +1,1 @@
-"""Private: what frames say of a bus. `canser` has the public names."""
+"""Private: statistics of frames. `canser` has the public names."""

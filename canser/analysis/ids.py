@@ -1,4 +1,4 @@
-"""Frames by id: how many, of which dlcs, when, and the steps of time from one to the next."""
+"""Statistics by id: number of frames, dlcs, times, and the steps of time between frames."""
 
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -17,7 +17,7 @@ ID_DTYPE: Final[np.dtype[np.void]] = np.dtype(
     [
         ("id", np.uint32),
         ("ext", np.bool_),
-        ("rtr", np.bool_),  # False where remote frames are in the row of their id
+        ("rtr", np.bool_),  # False if remote frames are counted in the row of their id
         ("err", np.bool_),
         ("dlc_least", np.uint8),
         ("dlc_most", np.uint8),
@@ -29,18 +29,19 @@ ID_DTYPE: Final[np.dtype[np.void]] = np.dtype(
     align=True,
 )
 
-# Those of its fields that a row counts; the others are in its key.
+# Fields that a row counts. The other fields of ID_DTYPE are in the row's key.
 _COUNTED: Final = ("dlc_least", "dlc_most", "count", "remote", "first_ns", "last_ns")
 
 _ROW_DTYPE: Final = np.dtype(
     [
         *((name, ID_DTYPE[name]) for name in _COUNTED),
-        ("stretch", np.int64),  # the stretch of the clock that `last_ns` is of; 0 for none
+        ("stretch", np.int64),  # the stretch of the clock that `last_ns` is in; 0 for none
     ],
     align=True,
 )
 
-# The bits of a key. Its order is that of the rows, and standard ids need 12 bits.
+# The bits of a key, from the lowest: rtr, the id (29 bits), ext, err. The order of the keys is that
+# of the rows. A standard id needs only the lowest 12 bits.
 _ID_BIT: Final = 1
 _ID_MASK: Final = 0x1FFF_FFFF
 _FLAG_BITS: Final = {"err": 31, "ext": 30, "rtr": 0}
@@ -51,49 +52,56 @@ _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
 class Batch(NamedTuple):
-    """Frames that were added, sorted by their rows; the frames of a row as they came.
+    """Frames that were added, sorted by their rows; within a row in the order of arrival.
 
-    A row is called by its place, a number from 0 on in the order in which rows appeared.
+    Each row has a place, a number from 0 on in the order in which the rows appeared.
     """
 
-    frames: FrameArray  # shape (n,), without those that have no row
-    starts: _Places  # where the frames of each row start, shape (m,)
-    counts: _Places  # how many frames each row has here, shape (m,)
-    places: _Places  # the place of each row, shape (m,)
-    new: npt.NDArray[np.bool_]  # whether these are the first frames of the row, shape (m,)
-    # The steps forward from a frame of a row to the next one, nanoseconds, those of a row
-    # together: of known times, and none across a restart of the clock.
+    #: The frames that have a row, shape (n,).
+    frames: FrameArray
+    #: Index of the first frame of each row, shape (m,).
+    starts: _Places
+    #: Number of frames of each row, shape (m,).
+    counts: _Places
+    #: Place of each row, shape (m,).
+    places: _Places
+    #: Whether these are the first frames of the row, shape (m,).
+    new: npt.NDArray[np.bool_]
+    #: Steps of time from a frame to the next one of its row, in nanoseconds, sorted by row. Only
+    #: steps forward between known times, and none across a restart of the clock.
     steps: npt.NDArray[np.uint64]
-    step_counts: _Places  # how many steps each row has, shape (m,)
+    #: Number of steps of each row, shape (m,).
+    step_counts: _Places
 
 
 class IdStatistics:
-    """A row for each id, standard or extended; the ids of error frames have rows of their own.
+    """A row for each id, standard or extended. Ids of error frames have rows of their own.
 
-    Frames come in batches, in the order in which they came; how they are cut changes nothing.
+    Frames are added in batches, in the order of their arrival. The result does not depend on how
+    they are divided into batches.
 
     Parameters
     ----------
     remote_apart : bool
         Whether the remote frames of an id have a row of their own.
     rows_most : int, optional
-        Frames of more rows are counted in `others` only.
+        The most rows. Frames that would need another row are only counted, in `others`.
 
     Attributes
     ----------
     frames : int
         Frames that were added.
     others : int
-        Of these, frames that have no row.
+        Frames that were added and have no row.
     clock : Clock
-        All known times.
+        The clock of all known times.
     """
 
     def __init__(self, *, remote_apart: bool, rows_most: int | None = None) -> None:
         self._remote_apart, self._rows_most = remote_apart, rows_most
         self.frames = self.others = 0
         self.clock = Clock()
-        self._keys = np.zeros(0, np.uint32)  # in order
+        self._keys = np.zeros(0, np.uint32)  # sorted
         self._places = np.zeros(0, np.intp)  # the places of these keys
         self._rows = np.zeros(0, _ROW_DTYPE)  # by place, with room for more
 
@@ -123,7 +131,7 @@ class IdStatistics:
         return rows
 
     def add(self, frames: FrameArray) -> Batch:
-        """Take frames: FRAME_DTYPE, shape (n,)."""
+        """Add frames: array of FRAME_DTYPE, shape (n,)."""
         self.frames += len(frames)
         stretches = self._add_times(np.ascontiguousarray(frames["ts"]))
         keys = self._make_keys(frames)
@@ -145,7 +153,7 @@ class IdStatistics:
         return Batch(frames, starts, counts, places, new, *steps)
 
     def _add_times(self, ts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """Return the stretch of the clock that each time is of, 0 if the time is not known."""
+        """Return the stretch of the clock that each time is in, 0 for a time that is not known."""
         known = ts != NO_TIME
         if known.all():
             return self.clock.add(ts)
@@ -161,7 +169,7 @@ class IdStatistics:
         return keys
 
     def _find(self, keys: _Keys) -> _Places:
-        """Return the places of distinct keys in order, new ones too; -1 where there is no room."""
+        """Return the places of distinct, sorted keys, and add new ones; -1 if there is no room."""
         at = np.searchsorted(self._keys, keys)
         found = at < len(self._keys)
         found[found] = self._keys[at[found]] == keys[found]
@@ -189,7 +197,7 @@ class IdStatistics:
 
 
 def _count(rows: IdRows, frames: FrameArray, starts: _Places, counts: _Places) -> None:
-    """Count frames that are sorted by their rows."""
+    """Count frames, sorted by their rows, in `rows`."""
     dlc = frames["dlc"]
     rows["count"] += counts
     rows["remote"] += np.add.reduceat(frames["rtr"], starts, dtype=np.int64)
@@ -204,9 +212,9 @@ def _step(
     starts: _Places,
     counts: _Places,
 ) -> tuple[npt.NDArray[np.uint64], _Places]:
-    """Take times that are sorted by their rows, and the stretch of each, 0 if it is not known.
+    """Return the steps of times that are sorted by their rows, and the number of each row's steps.
 
-    Return the steps, and how many each row has.
+    `stretches`: the stretch of the clock of each time, 0 if the time is not known.
     """
     known = stretches > 0
     if not known.all():
@@ -226,7 +234,7 @@ def _step(
     rows["first_ns"] = np.where(rows["stretch"] == 0, ts[starts], rows["first_ns"])
     lasts = starts + counts - 1
     rows["last_ns"], rows["stretch"] = ts[lasts], stretches[lasts]
-    # Unsigned: then the longest step is no overflow.
+    # Unsigned, because the longest step does not fit int64.
     steps = (ts - before).view(np.uint64)[forward]
     return steps, np.add.reduceat(forward, starts, dtype=np.intp)
 
@@ -234,8 +242,8 @@ def _step(
 def _stable_order(keys: _Keys) -> _Places:
     """Return `np.argsort(keys, kind="stable")`, 3 to 7 times as fast.
 
-    numpy sorts 16 bits by radix, and 32 bits not: so here are two sortings of 16 bits, or one
-    for frames that are all of standard ids.
+    numpy has a radix sort for 16 bits, but not for 32 bits. So this sorts twice by 16 bits; once
+    if all frames have standard ids.
     """
     order = np.argsort(keys.astype(np.uint16), kind="stable")
     high = (keys >> np.uint32(16)).astype(np.uint16)
@@ -245,7 +253,7 @@ def _stable_order(keys: _Keys) -> _Places:
 
 
 def find_runs(values: npt.NDArray[np.integer[Any]]) -> tuple[_Places, _Places]:
-    """Return where the runs of equal values start, and how long they are."""
+    """Return the start and the length of each run of equal values."""
     first = np.empty(len(values), np.bool_)
     first[:1] = True
     np.not_equal(values[1:], values[:-1], out=first[1:])
@@ -259,7 +267,7 @@ def find_runs(values: npt.NDArray[np.integer[Any]]) -> tuple[_Places, _Places]:
 def previous(
     values: npt.NDArray[_Scalar], first: npt.NDArray[_Scalar], starts: _Places
 ) -> npt.NDArray[_Scalar]:
-    """Return for each value the one before it, `first` for those at `starts`."""
+    """Return for each value the value before it; for those at `starts` the value in `first`."""
     before = np.empty_like(values)
     before[1:] = values[:-1]
     before[starts] = first

@@ -1,4 +1,4 @@
-"""Values as JSON has them: what is not known is null, times are whole nanoseconds."""
+"""Convert values to those of JSON: a value that is not known is null, times are nanoseconds."""
 
 import dataclasses
 import math
@@ -13,11 +13,11 @@ __all__ = ["to_plain"]
 
 
 def to_plain(value: object) -> Any:
-    """Return a value in dicts, lists, str, bool, int, float and None only.
+    """Return a value as dicts, lists, str, bool, int, float and None.
 
-    Objects become dicts of their fields, arrays of records lists of such dicts, bytes
-    hexadecimal digits. NaN, and in `..._ns` fields NO_TIME, become None; other `..._ns` fields
-    become int.
+    Dataclasses and named tuples become dicts of their fields, arrays of records become lists of
+    dicts, and bytes become hexadecimal digits. NaN becomes None, and so does NO_TIME in a field
+    whose name ends in `_ns`; other values of such a field become int.
     """
     if dataclasses.is_dataclass(value):
         fields = dataclasses.fields(value)

@@ -1,4 +1,4 @@
-"""The texts of what there is to say of a stream of frames: lines and tables, from numbers."""
+"""Format what is known of a stream of frames as text: lines and tables."""
 
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
@@ -24,7 +24,7 @@ __all__ = [
 
 
 def conservation(stats: Stats) -> str:
-    """Return the law of conservation with the numbers of a stream."""
+    """Return the sum of all bytes of a stream: every byte is counted exactly once."""
     return (
         f"{stats.bytes_in:,} bytes = {stats.bytes_framed:,} framed + "
         f"{stats.bytes_control:,} control + {stats.bytes_skipped:,} skipped + "
@@ -33,13 +33,13 @@ def conservation(stats: Stats) -> str:
 
 
 def reject_text(stats: Stats) -> str:
-    """Return the skipped bytes by reason, most first."""
+    """Return the skipped bytes by reason, the most frequent reason first."""
     reasons = sorted(stats.rejects.items(), key=lambda item: -item[1])
     return ", ".join(f"{name} {count:,}" for name, count in reasons if count)
 
 
 def fit_lines(fits: Sequence[Fit], size: int) -> Iterator[str]:
-    """Yield the ranking of the protocols for a file of `size` bytes, with its evidence."""
+    """Yield the ranking of the protocols for a file of `size` bytes, with the evidence."""
     yield "protocol    score  explained  by chance   frames  resyncs"
     for fit in fits:
         yield (
@@ -52,7 +52,7 @@ def fit_lines(fits: Sequence[Fit], size: int) -> Iterator[str]:
 
 
 def recording_lines(info: RecordingInfo) -> Iterator[str]:
-    """Yield what a recording tells of its line."""
+    """Yield the description of a recording's line."""
     yield f"recording  {info.protocol} from {info.device}, {info.baudrate:,} baud"
     if info.bitrate is not None:
         yield f"bus        {info.bitrate:,} bit/s"
@@ -61,7 +61,7 @@ def recording_lines(info: RecordingInfo) -> Iterator[str]:
 def time_text(
     first_ns: int | None, last_ns: int | None, span_ns: int | None, restarts: int, false_times: int
 ) -> str:
-    """Return how long a stream takes, and from when to when."""
+    """Return the duration of a stream, and its first and last time."""
     if first_ns is None or last_ns is None or span_ns is None:
         return "not known: there are no times in it"
     text = f"{span_ns / 1e9:,.3f} s"
@@ -73,7 +73,7 @@ def time_text(
 
 
 def _seconds(ts: int) -> str:
-    """Return a time in seconds, with its date where it can only be one."""
+    """Return a time in seconds; from the year 2000 on, with its date."""
     text = f"{ts / 1e9:.3f}"
     if ts < YEAR_2000_NS:
         return text
@@ -102,7 +102,7 @@ def id_lines(ids: npt.NDArray[np.void]) -> Iterator[str]:
     for values in ids.tolist():
         row: dict[str, Any] = dict(zip(ids.dtype.names or (), values, strict=True))
         name = f"{row['id']:08X}" if row["ext"] or row["err"] else f"{row['id']:03X}"
-        # A number is not known where it is not equal to itself: NaN.
+        # NaN, for a number that is not known, is not equal to itself.
         rate = f"{row['rate']:10,.2f}" if row["rate"] == row["rate"] else f"{'-':>10}"
         period = (
             f"{row['period_ns'] / 1e6:11,.2f}"

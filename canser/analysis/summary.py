@@ -1,4 +1,4 @@
-"""What is in a file of frames or raw bytes: `canser.info`, and the object that it returns."""
+"""Summarise a file of frames or raw bytes: `canser.info`, and the object that it returns."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -39,86 +39,76 @@ _ROW_DTYPE: Final[np.dtype[np.void]] = np.dtype(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FileInfo:
-    """What is in a file: frames, times, ids, bytes. `str` of it is the text of `canser info`.
+    """What is in a file: frames, times, ids, bytes; returned by `info`.
 
-    Times are nanoseconds. A step back of the clock of more than a second is a restart, or a
-    false time out of noise. Neither changes a span, a rate or a period.
+    `str` of it is the text that `canser info` prints. Times are in nanoseconds.
 
-    Attributes
-    ----------
-    name : str
-        The file; several with commas between them.
-    files : tuple of FilePart
-        Each file: its name, its format, and its frames.
-    frames : int
-        Frames of all kinds: `standard` + `extended`.
-    standard, extended : int
-        Frames by the length of their id, 11 or 29 bits.
-    remote, errors : int
-        Remote frames and error frames among them.
-    dlc : tuple of int
-        Frames by their dlc, 0 to 8: nine numbers.
-    first_ns, last_ns : int or None
-        The first and the last time, None where no time is known.
-    span_ns : int or None
-        The time from first to last, of each run of the clock, in sum.
-    restarts : int
-        How often the clock restarted.
-    false_times : int
-        Times that are left out, as they fit neither those before nor those behind them.
-    rate : float or None
-        Frames a second of `span_ns`.
-    ids : ndarray
-        A row for each id, the most frequent first, shape (n,). An id may have two or three rows:
-        standard, extended, and of error frames. Read-only. The fields:
-        `id` (uint32), `ext`, `err` (bool);
-        `count`, `remote` (int64): frames, and remote frames among them;
-        `dlc_least`, `dlc_most` (uint8);
-        `first_ns`, `last_ns` (int64): the first and the last known time, `canser.NO_TIME` if there
-        is none;
-        `share` (float64): of all frames, 0 to 1;
-        `rate` (float64): frames a second of `span_ns`, NaN if not known;
-        `period_ns`, `period_p99_ns` (float64): median and 99th percentile of the steps of time from
-        one frame of the id to the next, NaN if there are none. Steps back and steps across a
-        restart do not count. Exact for ids with up to 1,024 steps, and for a clock of milliseconds;
-        else within 1/128.
-    protocol : str or None
-        Of raw bytes and recordings, None for files of frames.
-    stats : Stats or None
-        The counters of the decoder, None for files of frames.
-    controls : tuple of Control
-        Control packets, the last 65,536 if there are more.
-    recording : RecordingInfo or None
-        What a recording knows of its line, None for other files.
-    doubt : str
-        Why the bytes are not of the protocol, "" if they may be.
-    remarks : tuple of str
-        What else is to be known, with the name of the file: what is damaged, lost, or not read.
-    fits : tuple of Fit
-        How well the protocols fit, the best first, if the protocol was found so; else empty.
+    Notes
+    -----
+    A step of the clock back by more than a second is a restart, or a false time that noise has
+    made. Neither changes a span, a rate or a period.
+
+    The fields of a row of `ids`:
+
+    - `id` (uint32), `ext`, `err` (bool): the id, and whether it is extended, or that of an error
+      frame;
+    - `count`, `remote` (int64): frames, and remote frames among them;
+    - `dlc_least`, `dlc_most` (uint8): the smallest and the largest dlc;
+    - `first_ns`, `last_ns` (int64): the first and the last known time, `canser.NO_TIME` if there
+      is none;
+    - `share` (float64): share of all frames, 0 to 1;
+    - `rate` (float64): frames per second of `span_ns`, NaN if not known;
+    - `period_ns`, `period_p99_ns` (float64): median and 99th percentile of the time from one frame
+      of the id to the next, in nanoseconds, NaN if there are none. Steps back and steps across a
+      restart do not count. Exact for ids with up to 1,024 steps, and for a clock of milliseconds;
+      otherwise within 1/128.
     """
 
+    #: Frames of all kinds: `standard` + `extended`.
     frames: int
+    #: Frames with an id of 11 bits.
     standard: int
+    #: Frames with an id of 29 bits.
     extended: int
+    #: Remote frames among `frames`.
     remote: int
+    #: Error frames among `frames`.
     errors: int
+    #: Frames by their dlc, 0 to 8: nine numbers.
     dlc: tuple[int, ...]
+    #: The first time, in nanoseconds; None if no time is known.
     first_ns: int | None
+    #: The last time, in nanoseconds; None if no time is known.
     last_ns: int | None
+    #: Time from the first frame to the last, in nanoseconds: the sum over all runs of the clock.
+    #: None if no time is known.
     span_ns: int | None
+    #: How many times the clock restarted.
     restarts: int
+    #: Times that are left out, because they fit neither those before nor those after them.
     false_times: int
+    #: Frames per second of `span_ns`, None if not known.
     rate: float | None
+    #: A row for each id, the most frequent first, shape (n,); read-only. An id may have two or
+    #: three rows: standard, extended, and of error frames. For the fields see the notes.
     ids: IdRows
+    #: Name of the file; several names with commas between them.
     name: str = ""
+    #: Each file with its name, its format, and its number of frames.
     files: tuple[FilePart, ...] = ()
+    #: Protocol of raw bytes and recordings, None for formats that hold frames.
     protocol: str | None = None
+    #: Counters of the decoder, None for formats that hold frames.
     stats: Stats | None = None
+    #: Control packets, the last 65,536 if there are more.
     controls: tuple[Control, ...] = ()
+    #: The line that a recording is of, None for other files.
     recording: RecordingInfo | None = None
+    #: Why the bytes are not of the protocol, "" if they may be.
     doubt: str = ""
+    #: Messages about the files, with their names: what is damaged, lost, or not read.
     remarks: tuple[str, ...] = ()
+    #: How well each protocol fits, the best first; empty if the protocol was not found that way.
     fits: tuple[Fit, ...] = ()
 
     def __str__(self) -> str:
@@ -130,7 +120,13 @@ class FileInfo:
         Parameters
         ----------
         top : int, optional
-            Show the most frequent ids only, this many at most, and how many are left out.
+            Show at most this number of ids, the most frequent ones, and how many are left out.
+            By default all ids are shown.
+
+        Yields
+        ------
+        str
+            A line of text, without a line end.
         """
         if self.fits and self.stats is not None:
             best = self.fits[0]
@@ -146,8 +142,8 @@ class FileInfo:
         kinds = {name: getattr(self, name) for name in ("standard", "extended", "remote")}
         kinds["error"] = self.errors
         if self.frames:
-            told = ", ".join(f"{count:,} {name}" for name, count in kinds.items() if count)
-            yield f"kinds      {told}"
+            counts = ", ".join(f"{count:,} {name}" for name, count in kinds.items() if count)
+            yield f"kinds      {counts}"
         yield f"ids        {len(self.ids):,}"
         times = report.time_text(
             self.first_ns, self.last_ns, self.span_ns, self.restarts, self.false_times
@@ -166,20 +162,20 @@ class FileInfo:
                 yield f"ids left out: {len(left_out):,}; frames of them: {frames:,}"
 
     def as_dict(self, top: int | None = None) -> dict[str, Any]:
-        """Return all of it as JSON has it, as `canser info --json` prints it.
+        """Return all fields as values that JSON has, as `canser info --json` prints them.
 
         Parameters
         ----------
         top : int, optional
-            The most frequent ids only, this many at most.
+            Include at most this number of ids, the most frequent ones. By default all ids.
 
         Returns
         -------
         dict
-            The attributes by their names. `ids` is a list of dicts, with the fields of a row as
-            keys; `stats`, `recording`, `controls` and `fits` are dicts too, the data of a control
-            packet in hexadecimal digits. Names that end with `_ns` are whole nanoseconds. What is
-            not known is None. Besides there is `ids_left_out`, the number of ids that `top`
+            The fields by their names. `ids` is a list of dicts, with the fields of a row as keys.
+            `stats` and `recording` are dicts, `controls` and `fits` lists of dicts; the data of a
+            control packet are hexadecimal digits. Values whose names end in `_ns` are whole
+            nanoseconds. What is not known is None. `ids_left_out` is the number of ids that `top`
             leaves out.
         """
         shown = replace(self, ids=self.ids[:top])
@@ -206,33 +202,46 @@ def info(
     as_is: bool = False,
     progress: Progress | None = None,
 ) -> FileInfo:
-    """Read a file, or several as one stream, to the end and tell what is in it.
+    """Read one file, or several as one stream, and return a summary of the content.
 
     Memory is bounded, unless frames are sorted.
 
     Parameters
     ----------
-    source, format, ts_unit, bus, as_is, progress
-        As for `canser.blocks`.
-    sort : bool
-        As for `canser.read`.
+    source : str, path-like, binary file, or list of these
+        The file to read, or several as one stream, as for `canser.blocks`.
     protocol : str, optional
-        The protocol of raw bytes. Without it the one that fits them best, of a file with a path.
+        Protocol of raw bytes: a name of `protocols()`, or "auto". By default the protocol that
+        fits a file best, if the file is given by its path.
+    format : str, optional
+        "raw", "pcapng", "candump", "csv" or "npy"; by default as for `canser.blocks`.
+    ts_unit : str, optional
+        Unit of the device's timestamps in raw bytes: "s", "ms", "us" or "ns"; "ms" by default.
+    bus : str, optional
+        Channel to read from a log of several buses, such as "can0"; all channels by default.
+    sort : bool, optional
+        Order all frames by their times, as for `canser.read`. False by default.
+    as_is : bool, optional
+        Read the bytes in the protocol given, whatever they look like, as for `canser.blocks`.
+    progress : callable, optional
+        Called after each block as `progress(bytes_done, bytes_total)`. `bytes_total` is None if
+        it is not known.
 
     Returns
     -------
     FileInfo
-        Its `str` is what `canser info` prints.
+        The summary. `str` of it is the text that `canser info` prints.
 
     Raises
     ------
     NoProtocolError
-        For raw bytes that fit no protocol; those of a pipe need their `protocol`.
-    FormatError, ValueError, OSError
-        As `canser.blocks` raises them.
+        A ValueError: raw bytes fit no protocol, or they come from a pipe and have none.
+    FormatError
+        As for `canser.blocks`; so are ValueError, TypeError and OSError.
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> frames = np.zeros(3, canser.FRAME_DTYPE)
     >>> frames["id"], frames["ts"] = 0x123, [0, 10_000_000, 20_000_000]
     >>> _ = Path("run.bin").write_bytes(canser.encode(frames, "serial"))
@@ -256,24 +265,24 @@ def info(
     options = ReadOptions(protocol=protocol, ts_unit=ts_unit, bus=bus, as_is=as_is)
     fits: list[Fit] = []
 
-    def told() -> FileInfo:
+    def read_all() -> FileInfo:
         with Blocks(source, options, format=format, progress=progress, sort=sort) as file:
-            return _tell(file, fits)
+            return _describe(file, fits)
 
     try:
-        return told()
+        return read_all()
     except NoProtocolError as error:
         named = [each for each in listed(source) if error.name == str(each)]
         fits = rank_protocols(named[0]) if named else []
         if not fits or not fits[0].fits:
             raise
-    # Of several files those that hold frames need no protocol.
+    # Files that hold frames, or are recordings, need no protocol.
     options = replace(options, protocol=fits[0].protocol, raw_only=True)
-    return told()
+    return read_all()
 
 
-def _tell(file: Blocks, fits: list[Fit]) -> FileInfo:
-    """Return what is in open files; `fits`: how the protocol was found, if it was."""
+def _describe(file: Blocks, fits: list[Fit]) -> FileInfo:
+    """Return what is in open files. `fits`: the ranking that found the protocol, if any."""
     found = summarise(file)
     notes = file.notes
     return replace(
@@ -300,7 +309,7 @@ def rank_protocols(source: Source) -> list[Fit]:
 
 
 def summarise(blocks: Iterable[FrameArray]) -> FileInfo:
-    """Tell what is in frames."""
+    """Return what is in frames. The fields about files keep their defaults."""
     statistics, steps = IdStatistics(remote_apart=False), StepStatistics()
     dlc = np.zeros(9, np.int64)
     for frames in blocks:

@@ -1,4 +1,4 @@
-"""What a file says of its frames and a frame has no room for: counted, and told at the end."""
+"""Count what a file says of its frames and FRAME_DTYPE has no field for; report it at the end."""
 
 import warnings
 from collections.abc import Callable, Iterable
@@ -6,41 +6,41 @@ from typing import Final
 
 from canser.errors import CanserWarning, FormatError
 
-__all__ = ["Tell", "Unkept", "tell_all"]
+__all__ = ["AddRemark", "Unkept", "report_remarks"]
 
-# Takes a remark on a file, a line without the file's name.
-Tell = Callable[[str], object]
+# Takes a remark about a file: a line of text without the file's name.
+AddRemark = Callable[[str], object]
 
-# A bus has few interfaces. A damaged file has other names without end: beyond this number they
-# are counted together.
+# Names that are counted one by one: channels and directions. A log of real buses has fewer.
+# Otherwise a damaged file, with a new name in each line, would need memory without bound.
 _NAMES_MOST: Final = 16
 
-# Stands for those: no name has a line end.
+# Key that counts all names beyond `_NAMES_MOST`. No name has a line end.
 _MORE: Final = "\n"
 
-# Characters of a name that are shown; an interface of Linux has 15 at most.
+# Characters of a name that are shown. Names of Linux interfaces have at most 15 characters.
 _SHOWN: Final = 32
 
-# How programs write the direction. What has none was received.
+# How programs write the direction. A frame without one was received.
 _DIRECTIONS: Final = {
     "": "received", "r": "received", "rx": "received", "t": "sent", "tx": "sent",
 }  # fmt: skip
 
 
 class Unkept:
-    """Counts what the lines of a text say of frames, and FRAME_DTYPE has no field for."""
+    """Counts what the lines of a text say of frames and FRAME_DTYPE has no field for."""
 
     def __init__(self, bus: str | None = None) -> None:
-        self.bus = bus  # that is read, None for all
-        self._other_buses: dict[str, int] = {}  # frames of those that are not read
+        self.bus = bus  # the bus to read, None for all
+        self._other_buses: dict[str, int] = {}  # frames of each bus that is not read
         self.raw_dlcs = 0  # frames with a raw dlc of 9 to 15, which is 8 bytes
-        self.nuls = 0  # bytes at the end of the file
+        self.nuls = 0  # NUL bytes at the end of the file
         self.columns: list[str] = []  # names of columns that are not read
-        # Frames by channel and direction; None where the format has no such word.
+        # Frames by channel and direction; None if the format does not have the word.
         self._counts: dict[tuple[str | None, str | None], int] = {}
 
     def is_other_bus(self, channel: str | None) -> bool:
-        """Return whether a frame is of a bus that is not read; it is counted."""
+        """Return whether a frame is of a bus that is not read, and count such a frame."""
         if self.bus is None or channel == self.bus:
             return False
         name = channel or ""
@@ -50,7 +50,7 @@ class Unkept:
         return True
 
     def check_bus(self, name: str) -> None:
-        """Raise FormatError if the file has frames, and none of the bus that is read."""
+        """Raise FormatError if the file has frames, but none of the bus to read."""
         if self._other_buses and not self._counts:
             raise FormatError(
                 f"{name} has no frame of the bus {self.bus}; it has {_listed(self._other_buses)}"
@@ -65,7 +65,7 @@ class Unkept:
             self._counts[key] = self._counts.get(key, 0) + 1
 
     def _known(self, name: str | None, place: int) -> str | None:
-        """Return a name to count by: its own, or the one for all beyond the most."""
+        """Return the key to count a name by: the name itself, or `_MORE` if there are too many."""
         known = {key[place] for key in self._counts}
         return name if name in known or len(known) < _NAMES_MOST else _MORE
 
@@ -80,7 +80,7 @@ class Unkept:
         return counts
 
     def remarks(self) -> list[str]:
-        """Return what a caller should know, a line each."""
+        """Return the remarks, a line each."""
         remarks = []
         channels, directions = self._by(0), self._by(1)
         if len(channels) > 1:
@@ -105,23 +105,23 @@ class Unkept:
 
 
 def _listed(counts: dict[str, int]) -> str:
-    """Return names and counts, those beyond the most at the end."""
+    """Return names and counts as text, with the count of `_MORE` at the end."""
     more = counts.pop(_MORE, 0)
     shown = [f"{_printable(name)} {count:,}" for name, count in counts.items()]
     return ", ".join([*shown, f"and more {more:,}"] if more else shown)
 
 
 def _printable(name: str) -> str:
-    """Return a name of a file as a terminal may show it: nothing empty, no control codes."""
+    """Return a name from a file so that a terminal can show it: not empty, no control codes."""
     cut = name if len(name) <= _SHOWN else f"{name[:_SHOWN]}..."
     return cut if cut and cut.isprintable() else ascii(cut)
 
 
-def tell_all(remarks: Iterable[str], name: str, tell: Tell | None) -> None:
-    """Hand remarks on a file to `tell`, or warn of them where that is None."""
+def report_remarks(remarks: Iterable[str], name: str, add_remark: AddRemark | None) -> None:
+    """Pass the remarks about a file to `add_remark`; without one, warn of each."""
     for remark in remarks:
-        if tell is None:
-            # Up to where the generator that calls this is asked for its next block.
+        if add_remark is None:
+            # The warning points to the code that asks the calling generator for its next block.
             warnings.warn(f"{name}: {remark}", CanserWarning, stacklevel=3)
         else:
-            tell(remark)
+            add_remark(remark)

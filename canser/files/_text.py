@@ -1,8 +1,8 @@
 """Text columns of many frames at once, built as arrays of characters.
 
-A column is an array of uint8, shape (n, width), one row for each frame; a character
-that a row does not have is 0, and `join` leaves it out. This writes some millions
-of lines a second where one format() for each frame writes half a million.
+A column is an array of uint8, shape (n, width), one row for each frame. A 0 stands for a character
+that a row does not have; `join` leaves it out. This writes some millions of lines per second;
+one format() call for each frame writes half a million.
 """
 
 import re
@@ -23,18 +23,18 @@ Column = npt.NDArray[np.uint8]
 _HEX: Final = np.frombuffer(b"0123456789ABCDEF", np.uint8)
 _SECOND: Final = 1_000_000_000
 
-# Those of ASCII: strip() by itself takes the blanks of all scripts.
+# Blanks of ASCII. Without them, strip() would take the blanks of all scripts.
 BLANKS: Final = " \t\r\n\v\f"
 
-# No frame's line is nearly so long, in bytes; what is, is no text.
+# Limit for a line of text, in bytes. A line of a frame has under 100; a longer one is no text.
 _LINE_MAX = 1 << 16
 
-# Frames that are parsed before they are handed on.
+# Frames in a block.
 _BLOCK = 1 << 14
 
 
 def join(row_count: int, *parts: bytes | Column) -> bytes:
-    """Return the lines made of the parts, constant text or columns, one behind the other."""
+    """Return the lines, each made of the parts in a row: constant text, or columns."""
     columns = [
         np.broadcast_to(np.frombuffer(part, np.uint8), (row_count, len(part)))
         if isinstance(part, bytes)
@@ -46,7 +46,7 @@ def join(row_count: int, *parts: bytes | Column) -> bytes:
 
 
 def hexadecimal(values: npt.NDArray[np.integer], digits: int) -> Column:
-    """Return numbers in upper-case hexadecimal, all digits."""
+    """Return numbers in upper-case hexadecimal, with leading zeros."""
     shifts = np.arange(4 * (digits - 1), -1, -4, dtype=np.uint32)
     digits_of: Column = _HEX[(values[:, None].astype(np.uint32) >> shifts) & 0xF]
     return digits_of
@@ -63,12 +63,12 @@ def payload(frames: FrameArray) -> Column:
 
 
 def payload_len(frames: FrameArray) -> npt.NDArray[np.uint8]:
-    """Return how many bytes of data each frame has: none in a remote frame."""
+    """Return the number of data bytes of each frame; a remote frame has none."""
     return np.where(frames["rtr"], 0, np.minimum(frames["dlc"], 8)).astype(np.uint8)
 
 
 def decimal(values: npt.NDArray[np.integer], least: int = 1) -> Column:
-    """Return numbers, 0 or more, without leading zeros but at `least` so many digits."""
+    """Return decimal numbers, 0 or more, padded with zeros to `least` digits."""
     digits = max(least, len(str(int(values.max(initial=0)))))
     powers = 10 ** np.arange(digits - 1, -1, -1, dtype=np.uint64)
     wide = values[:, None].astype(np.uint64)
@@ -80,9 +80,9 @@ def decimal(values: npt.NDArray[np.integer], least: int = 1) -> Column:
 
 
 def seconds(ts: npt.NDArray[np.int64], places: int) -> Column:
-    """Return nanoseconds as seconds with so many places, cut, with a sign where negative."""
+    """Return nanoseconds as seconds with a number of decimal places; further places are cut."""
     negative = ts < 0
-    # The least int64 has no positive; callers have replaced NO_TIME.
+    # Callers have replaced NO_TIME: the least int64 has no absolute value.
     size = np.abs(ts)
     sign = np.where(negative, ord("-"), 0).astype(np.uint8)[:, None]
     fraction = decimal(size % _SECOND // 10 ** (9 - places), least=places)
@@ -95,15 +95,15 @@ _SECONDS: Final = re.compile(
 )
 _ROUNDED: Final = re.compile(r"[ \t]*[+-]?(?:[0-9]+(?:\.[0-9]*)?[eE][+-]?[0-9]+|inf)[ \t]*")
 
-# 2**63 ns are 9,223,372,036 s.
+# Digits of whole seconds in the largest time: 2**63 ns are 9,223,372,036 s.
 _WHOLE_DIGITS: Final = 10
 
 
 def parse_seconds(text: str) -> int:
-    """Return the nanoseconds of a number of seconds, exactly; NO_TIME for nan or nothing.
+    """Return the nanoseconds of a text in seconds, exactly; NO_TIME for nan and an empty text.
 
-    Digits past the ninth place are cut; numbers with an exponent, such as 1e9, are read as
-    floating point. ValueError for what is no number or is out of range.
+    Digits behind the ninth decimal place are cut. A number with an exponent, such as 1e9, is read
+    as floating point. ValueError for a text that is no number, or is out of range.
     """
     found = _SECONDS.fullmatch(text)
     if found:
@@ -111,7 +111,7 @@ def parse_seconds(text: str) -> int:
         if len(whole) > _WHOLE_DIGITS and len(whole.lstrip("0")) > _WHOLE_DIGITS:
             ts = 2**63
         else:
-            # Both in one number: the last nine digits are the nanoseconds.
+            # Seconds and fraction as one number: its last nine digits are the fraction.
             ts = int(whole[-_WHOLE_DIGITS:] + places[:9].ljust(9, "0"))
         ts = -ts if sign == "-" else ts
     elif text.strip(BLANKS).lower() in ("", "nan", "nat"):
@@ -129,7 +129,7 @@ def parse_seconds(text: str) -> int:
 
 
 def in_blocks(rows: Iterator[Row]) -> Iterator[FrameArray]:
-    """Yield rows as arrays of frames, some thousand each."""
+    """Yield rows as arrays of frames, `_BLOCK` frames each."""
     block: list[Row] = []
     for row in rows:
         block.append(row)
@@ -141,9 +141,9 @@ def in_blocks(rows: Iterator[Row]) -> Iterator[FrameArray]:
 
 
 def lines(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[tuple[int, str]]:
-    """Yield the number and the text of each line that is not empty; ASCII or UTF-8.
+    """Yield the number and the text (ASCII or UTF-8) of each line that is not empty.
 
-    NULs at the end of the file, which a power cut may leave, are counted in `unkept`.
+    NUL bytes at the end of the file, which a power cut may leave, are counted in `unkept`.
     """
     for number in count(1):
         raw = file.readline(_LINE_MAX)
@@ -151,7 +151,7 @@ def lines(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[tuple[int, str]
             return
         if len(raw) == _LINE_MAX:
             raise FormatError(f"{name}, line {number}: has no end; is it raw bytes?")
-        if not raw[0] and not raw.strip(b"\0"):  # so no line end: the file ends here
+        if not raw[0] and not raw.strip(b"\0"):  # NULs without a line end: the end of the file
             unkept.nuls = len(raw)
             return
         try:

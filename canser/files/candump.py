@@ -8,14 +8,14 @@
     (1544106679.432640) can1 123#0011223344556677_E   a raw dlc of 9 to 15 (F)
     # a comment
 
-Source: can-utils, `candump` and its library's frame notation.
+Source: can-utils, `candump` and the frame notation of its `lib.c`.
 
-A frame has no place for its channel, its direction and its raw dlc: where lines differ in
-these, the reader tells how many there were of each.
+FRAME_DTYPE has no field for the channel, the direction and the raw dlc. If lines differ in them,
+the reader reports how many frames there were of each.
 
-An error frame has eight digits because of its flag, so `ext` of one with an id up to
-0x7FF is not told. Times have six places: a part under a microsecond is cut, and a time that is not
-known is written as 0. `Writer` counts both.
+An error frame has eight digits because of its flag. So a log does not say whether an error frame
+with an id up to 0x7FF is extended. Times have six decimal places: a part under a microsecond is
+cut, and a time that is not known is written as 0. `Writer` counts both.
 """
 
 import re
@@ -32,7 +32,7 @@ from canser._input import Input
 from canser._rows import Row
 from canser.errors import FormatError
 from canser.files import _text
-from canser.files._remarks import Tell, Unkept, tell_all
+from canser.files._remarks import AddRemark, Unkept, report_remarks
 from canser.files.foreign import is_text
 from canser.files.reader import DecodedReader, Reader, ReadOptions
 from canser.files.writer import WriteOptions
@@ -47,19 +47,19 @@ cannot_hold: Final = (
     "whether an error frame is extended, where its id is up to 0x7FF",
 )
 
-# Groups: the time, the channel, those of a frame, the direction.
+# Groups: the time, the channel, the groups of the frame's notation, the direction.
 _LINE = re.compile(
     r"\((-?[0-9]+(?:\.[0-9]+)?)\)[ \t]+([^\s\0-\x1f\x7f]+)[ \t]+"
     rf"{_notation.PATTERN}(?:[ \t]+([RT]))?"
 )
 
 
-# The start of a line.
+# The start of a line, up to the "#" of its frame.
 _BEGIN: Final = re.compile(rb"^\(\d+\.\d+\) +\S+ +[0-9A-Fa-f]+#", re.MULTILINE)
 
 
 def sniff(head: bytes) -> bool:
-    """Return whether these first bytes of a file have a line of a log."""
+    """Return whether the first bytes of a file have the start of a log's line."""
     return is_text(head, least=1) and bool(_BEGIN.search(head))
 
 
@@ -125,7 +125,8 @@ def _lines(frames: FrameArray, times: _text.Column) -> bytes:
     )
 
 
-# How a time is shown: as it is, with its date, since the frame before, since the first frame.
+# How a time is shown, as the letters of `candump -t`: seconds, date and time of day, seconds since
+# the frame before, seconds since the first frame.
 STAMPS: Final = ("a", "A", "d", "z")
 
 
@@ -134,7 +135,7 @@ class Dump:
 
     def __init__(self, stamps: str) -> None:
         self._stamps = stamps
-        self._last_ns = NO_TIME  # of the frame before, or with "z" of the first one
+        self._last_ns = NO_TIME  # time of the frame before; with "z" of the first frame
 
     def text(self, frames: FrameArray) -> bytes:
         """Return frames as lines; a time that is not known is shown as 0."""
@@ -164,7 +165,7 @@ class Dump:
 
 
 def _dates(ts: npt.NDArray[np.int64]) -> _text.Column:
-    """Return times as dates and times of day, UTC, with six places."""
+    """Return times as dates and times of day, UTC, with six decimal places."""
     texts = np.datetime_as_string(ts.view("M8[ns]"), unit="us").astype("S")
     width = texts.dtype.itemsize
     column = np.frombuffer(texts.tobytes(), np.uint8).reshape(len(ts), width).copy()
@@ -173,19 +174,28 @@ def _dates(ts: npt.NDArray[np.int64]) -> _text.Column:
 
 
 def parse(
-    file: BinaryIO, name: str, tell: Tell | None = None, bus: str | None = None
+    file: BinaryIO, name: str, add_remark: AddRemark | None = None, bus: str | None = None
 ) -> Iterator[FrameArray]:
     """Yield the frames of a log, block by block.
 
-    `file`: open for reading bytes; `name`: what messages call it. `tell` is called at the end
-    with each remark on what the log says and the frames do not hold; without it a remark is a
-    CanserWarning. `bus`: the channel that is read, None for all. FormatError names the first
-    line that is no frame of classic CAN.
+    FormatError names the first line that is no frame of classic CAN.
+
+    Parameters
+    ----------
+    file
+        A file that is open for reading bytes.
+    name
+        Name of the file in messages.
+    add_remark
+        Called at the end with each remark on what the log says and the frames do not hold. Without
+        it, each remark is a CanserWarning.
+    bus
+        Channel to read, None for all.
     """
     unkept = Unkept(bus)
     yield from _text.in_blocks(_rows(file, name, unkept))
     unkept.check_bus(name)
-    tell_all(unkept.remarks(), name, tell)
+    report_remarks(unkept.remarks(), name, add_remark)
 
 
 def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[Row]:

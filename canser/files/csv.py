@@ -3,12 +3,12 @@
     timestamp,arbitration_id,extended,remote,error,dlc,data
     1631416514.717133,0xd2,0,0,0,8,AAD//xAAAAA=
 
-timestamp in seconds (nan where it is not known), arbitration_id in hexadecimal,
-flags 0 or 1, data in base64. Source: python-can, `can.io.csv`.
+timestamp in seconds (nan if it is not known), arbitration_id in hexadecimal, flags 0 or 1, data in
+base64. Source: python-can, `can.io.csv`.
 
-Times are exact: six places, or nine where a frame has nanoseconds. Read by the
-names of the header, so columns may be in any order and others may be there: the
-reader tells which it does not read. python-can 2.0 and 2.1 wrote the header as
+Times are exact: they have six decimal places, or nine if a frame's time has nanoseconds. The
+reader finds columns by their names, so they may be in any order. There may be more columns; the
+reader reports which it does not read. python-can 2.0 and 2.1 wrote the header as
 `timestamp, arbitration id, extended, remote, error, dlc, data`.
 """
 
@@ -26,7 +26,7 @@ from canser._input import Input
 from canser._rows import Row, check_row
 from canser.errors import FormatError
 from canser.files import _text
-from canser.files._remarks import Tell, Unkept, tell_all
+from canser.files._remarks import AddRemark, Unkept, report_remarks
 from canser.files.foreign import is_text
 from canser.files.reader import DecodedReader, Reader, ReadOptions
 from canser.files.writer import WriteOptions
@@ -39,10 +39,11 @@ cannot_hold: Final = ()
 
 COLUMNS: Final = ("timestamp", "arbitration_id", "extended", "remote", "error", "dlc", "data")
 
-# Columns for which a frame has no field; how many frames there are of each value is counted.
+# Columns that FRAME_DTYPE has no field for. The frames of each value are counted.
 _COUNTED: Final = ("channel", "direction")
 
-# More digits than an id or a dlc has, and few enough for a message.
+# More digits than an id or a dlc has, so that a number too large is reported as such; and few
+# enough for a message.
 _HEXADECIMAL: Final = re.compile("(?:0[xX])?[0-9A-Fa-f]{1,16}")
 _WHOLE: Final = re.compile("-?[0-9]{1,16}")
 
@@ -54,7 +55,7 @@ _BASE64: Final = np.frombuffer(
 
 
 def sniff(head: bytes) -> bool:
-    """Return whether these first bytes of a file are the header that python-can writes."""
+    """Return whether a file starts with the header that python-can writes."""
     return is_text(head) and bool(re.match(rb"(?:\xef\xbb\xbf)?timestamp, ?arbitration.id,", head))
 
 
@@ -110,12 +111,12 @@ class Writer:
         self._file.write(line)
 
     def finish(self) -> list[str]:
-        """Return what the file could not hold: it holds everything."""
+        """Return no remarks: the file holds everything."""
         return []
 
 
 def _base64(frames: FrameArray) -> _text.Column:
-    """Return the data up to the dlc in base64: 12 characters, padded by `=` and 0."""
+    """Return the data up to the dlc in base64: 12 characters, padded by `=`, then by zeros."""
     length = _text.payload_len(frames)[:, None]
     data = np.zeros((len(frames), 9), np.uint8)
     data[:, :8] = np.where(np.arange(8) < length, frames["data"], 0)
@@ -129,19 +130,28 @@ def _base64(frames: FrameArray) -> _text.Column:
 
 
 def parse(
-    file: BinaryIO, name: str, tell: Tell | None = None, bus: str | None = None
+    file: BinaryIO, name: str, add_remark: AddRemark | None = None, bus: str | None = None
 ) -> Iterator[FrameArray]:
     """Yield the frames of a file, block by block.
 
-    `file`: open for reading bytes; `name`: what messages call it. `tell` is called at the end
-    with each remark on what the file says and the frames do not hold; without it a remark is a
-    CanserWarning. `bus`: the channel that is read, None for all. FormatError names the first
-    line that is no frame, or the columns that are missing.
+    FormatError names the first line that is no frame, or the columns that are missing.
+
+    Parameters
+    ----------
+    file
+        A file that is open for reading bytes.
+    name
+        Name of the file in messages.
+    add_remark
+        Called at the end with each remark on what the file says and the frames do not hold.
+        Without it, each remark is a CanserWarning.
+    bus
+        Channel to read, None for all.
     """
     unkept = Unkept(bus)
     yield from _text.in_blocks(_rows(file, name, unkept))
     unkept.check_bus(name)
-    tell_all(unkept.remarks(), name, tell)
+    report_remarks(unkept.remarks(), name, add_remark)
 
 
 def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[Row]:
@@ -209,13 +219,14 @@ def _flag(text: str) -> bool:
 
 def _bytes(text: str) -> bytes:
     data = base64.b64decode(text, validate=True)
-    # A last character with bits that are no part of a byte decodes to the same as another one.
+    # Otherwise a text whose last character has unused bits would pass: it decodes to the same
+    # bytes as another text.
     if base64.b64encode(data).decode() != text:
         raise ValueError
     return data
 
 
-# How each column is read, and what it must be.
+# For each column the function that reads it, and what a message says its text must be.
 _COLUMNS: Final[tuple[tuple[Callable[[str], Any], str], ...]] = (
     (_text.parse_seconds, "a time in seconds"),
     (_hexadecimal, "a hexadecimal number"),

@@ -1,4 +1,4 @@
-"""Which protocol are these bytes? Ranked by how much each explains beyond chance."""
+"""Rank the protocols by how many of some bytes each explains beyond chance."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -13,56 +13,91 @@ from canser.codec.decoder import Decoder, Stats
 
 __all__ = ["Fit", "identify"]
 
-# Of longer data this many slices of this many bytes are looked at, evenly spread.
+# The sample of longer data: this many slices of this many bytes, evenly spread.
 _SLICES: Final = 16
-_SLICE: Final = 1 << 14
+_SLICE_LEN: Final = 1 << 14
 
-# Enough that one in twenty is told from none.
+# A result counts as luck if at least 1 in 20 shuffles is explained as well.
+_LUCK_MOST: Final = 0.05
+
+# Shuffles of the sample: more than 20, as 1 in 20 is the limit.
 _SHUFFLES: Final = 24
 
-# Frames that are decoded at a time: as many as fit a cache.
+# Frames that are decoded at a time: 96 KiB of records, which fit a cache.
 _ROOM: Final = 4096
 
-# Two scores this close do not tell two protocols apart. Then the one wins of which shuffled bytes
-# hold less: a quiet bus repeats the same few bytes, and those are frames of `cantalope`, too, as
-# nearly any bytes are; that they are frames of a protocol with marks is no accident.
+# Scores that differ by less do not separate two protocols. Then the protocol wins that explains
+# fewer of the shuffled bytes. Otherwise a quiet bus, which repeats the same few bytes, could be
+# taken for `cantalope`, in which nearly any bytes are a frame.
 _CLOSE: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """How well one protocol explains some bytes, and the evidence.
+    """How well one protocol explains some bytes, and the evidence; returned by `identify`.
 
-    The same bytes in random order keep how often each value comes, and lose what a
-    protocol is: their order. So what a protocol finds there is chance.
+    The evidence is a comparison with the same bytes in random order. Shuffling keeps how often
+    each value occurs, and destroys the order, which is what a protocol defines. What a protocol
+    explains of the shuffled bytes is chance.
     """
 
+    #: Name of the protocol, as in `protocols()`.
     protocol: str
-    score: float  # share of the bytes explained beyond chance: 1 all, 0 no more than chance
-    explained: float  # share of the bytes inside frames and control packets
-    chance: float  # the same in the shuffled bytes, mean of 24 shuffles
-    luck: float  # share of the shuffles that explain as much as the bytes themselves
-    stats: Stats  # of the bytes looked at
+    #: Share of the bytes explained beyond chance, `(explained - chance) / (1 - chance)`, but not
+    #: below 0: 1 is all, 0 is no more than chance.
+    score: float
+    #: Share of the bytes that lie inside frames and control packets, 0 to 1.
+    explained: float
+    #: The same share in the shuffled bytes, 0 to 1: the mean of 24 shuffles.
+    chance: float
+    #: Share of the shuffles of which the protocol explains as much as of the bytes, 0 to 1.
+    luck: float
+    #: Counters of the decoder for the bytes that were examined.
+    stats: Stats
 
     @property
     def fits(self) -> bool:
-        """Whether these bytes are this protocol: over half explained, and not by luck."""
-        return self.score > 0.5 and self.luck < 0.05
+        """Whether the bytes are of this protocol: `score` over 0.5, and `luck` below 0.05."""
+        return self.score > 0.5 and self.luck < _LUCK_MOST
 
 
 def identify(data: BytesLike) -> list[Fit]:
     """Rank all protocols by how much of the bytes each explains beyond chance.
 
-    `data`: any contiguous buffer of bytes. Returns one `Fit` for each protocol, the
-    best first; whether the best is good enough its `fits` tells: noise and text fit
-    nothing. Of protocols that fit about equally well the one that is rarer in random bytes
-    comes first. Looks at 256 KiB at most, in slices from all over; the same bytes give
-    the same answer. Errors as for `Decoder.feed`.
+    Parameters
+    ----------
+    data : bytes-like
+        Any contiguous buffer of bytes. Of more than 256 KiB a sample of 256 KiB is examined:
+        16 slices, evenly spread.
 
-    Needed because a share alone says little: in `cantalope` nearly nine of ten
-    random bytes lie inside some frame, in `seeed` nearly none.
+    Returns
+    -------
+    list of Fit
+        One for each protocol, the best first. `Fit.fits` says whether the best is good enough:
+        noise and text fit no protocol. Among protocols that fit about equally well, the one that
+        explains least of random bytes is first. The same bytes give the same result.
+
+    Raises
+    ------
+    TypeError
+        `data` is no buffer of single bytes.
+    BufferError
+        `data` is not contiguous.
+
+    Notes
+    -----
+    The share of explained bytes alone says little: in `cantalope` nearly nine of ten random
+    bytes lie inside a frame, in `seeed` nearly none. The score therefore counts only what is
+    explained beyond chance.
+
+    Examples
+    --------
+    >>> frames = canser.frames("123#01", "456#0203")
+    >>> best = canser.identify(canser.encode(frames, "seeed") * 20)[0]
+    >>> best.protocol, best.fits
+    ('seeed', True)
     """
-    sample = _sample(as_bytes(data)).copy()  # numpy will not shuffle what is read-only
+    sample = _sample(as_bytes(data)).copy()  # numpy does not shuffle a read-only array
     rng = np.random.default_rng(0)
     shuffles = [rng.permutation(sample) for _ in range(_SHUFFLES)]
     fits = [_fit(protocol, sample, shuffles) for protocol in protocols()]
@@ -76,10 +111,10 @@ def identify(data: BytesLike) -> list[Fit]:
 
 
 def _sample(data: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    if len(data) <= _SLICES * _SLICE:
+    if len(data) <= _SLICES * _SLICE_LEN:
         return data
-    starts = np.linspace(0, len(data) - _SLICE, _SLICES).astype(np.int64)
-    return np.concatenate([data[start : start + _SLICE] for start in starts])
+    starts = np.linspace(0, len(data) - _SLICE_LEN, _SLICES).astype(np.int64)
+    return np.concatenate([data[start : start + _SLICE_LEN] for start in starts])
 
 
 def _fit(
@@ -102,7 +137,7 @@ def _fit(
 
 
 def _explain(decoder: Decoder, data: npt.NDArray[np.uint8], room: FrameArray) -> float:
-    """Return the share of some bytes that lies inside packets; the decoder starts anew."""
+    """Reset the decoder; return the share of the bytes that lie inside packets."""
     decoder.reset()
     done = 0
     while done < len(data):

@@ -1,26 +1,26 @@
-"""Formats that canser does not read: named by their first bytes, with what reads them."""
+"""Recognise formats that canser does not read by their first bytes, and name what reads them."""
 
 import re
 from typing import Final, NamedTuple
 
 __all__ = ["HEAD_LEN", "TEXT", "Foreign", "is_text", "recognise"]
 
-# So many first bytes of a file are looked at.
+# Bytes at the start of a file that are examined.
 HEAD_LEN: Final = 4096
 
-# A text is at least this long, in bytes. The bytes of an adapter that look like text for as
-# long do not come about by chance: 95 of 256 values are printable.
+# Shorter than this, in bytes, a file is not taken for text. 95 of 256 byte values are printable,
+# so 32 bytes of an adapter are all printable by chance with a probability of 2e-14.
 _TEXT_LEAST: Final = 32
 
-# At most this share of a text's bytes lies outside ASCII: names and months of many languages.
-_NOT_ASCII: Final = 0.1
+# The largest share of bytes outside ASCII in a text: names and months in many languages have some.
+_NOT_ASCII_MOST: Final = 0.1
 
 
 class Foreign(NamedTuple):
     """A format that canser does not read."""
 
     about: str
-    remedy: str  # what reads it
+    remedy: str  # how the file can be read
 
 
 _PYTHON_CAN: Final = "python-can converts it: can_logconvert FILE run.log"
@@ -28,7 +28,7 @@ _UNPACK: Final = "unpack it first"
 
 TEXT: Final = Foreign("a text", "canser does not know what it holds")
 
-# Formats by how a file begins.
+# Formats by the first bytes of a file.
 _MAGICS: Final = (
     (b"\x1f\x8b\x08", Foreign("packed by gzip", f"{_UNPACK}: gunzip FILE")),
     (b"BZh", Foreign("packed by bzip2", f"{_UNPACK}: bunzip2 FILE")),
@@ -73,9 +73,9 @@ _TEXTS: Final = tuple(
 
 
 def recognise(head: bytes) -> Foreign | None:
-    """Return the format of a file by its first bytes, None where they do not tell.
+    """Return the format of a file by its first bytes, None if it is not known.
 
-    HEAD_LEN bytes are enough. TEXT is any text of which no more is known.
+    HEAD_LEN bytes are enough. The result is TEXT for a text of an unknown format.
     """
     for magic, found in _MAGICS:
         if head.startswith(magic):
@@ -87,10 +87,10 @@ def recognise(head: bytes) -> Foreign | None:
 
 
 def is_text(head: bytes, least: int = _TEXT_LEAST) -> bool:
-    """Return whether these bytes, `least` of them or more, are lines of text."""
-    head = head.rstrip(b"\0")  # some systems leave zeros behind a text when the power goes
+    """Return whether these bytes are lines of text, and at least `least` bytes long."""
+    head = head.rstrip(b"\0")  # after a power cut some systems leave zeros at the end of a file
     if len(head) < least or not re.search(rb"[\r\n]", head):
         return False
     if re.search(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]", head):
         return False
-    return len(re.findall(rb"[\x80-\xff]", head)) <= _NOT_ASCII * len(head)
+    return len(re.findall(rb"[\x80-\xff]", head)) <= _NOT_ASCII_MOST * len(head)

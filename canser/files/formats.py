@@ -1,17 +1,19 @@
 """The formats of files: those of canser, and those that other packages add.
 
-A format is a module, or another object, with
+A format is a module, or another object, with these attributes:
 
-- `suffixes`: how names of its files end, such as `(".log",)`, the first one its own;
-- `sniff(head)`: whether these first bytes of a file are plainly its own;
-- `read(source, options)`: a `Reader`;
-- `write(file, options)`: a `Writer`; None for a format that canser only reads;
-- `cannot_hold`: what it has no place for, in words;
-- `about`: what a file of it is, such as "a candump log".
+- `suffixes`: the suffixes of its files' names, such as `(".log",)`, the usual one first;
+- `sniff(head)`: whether the first bytes of a file are clearly of this format;
+- `read(source, options)`: returns a `Reader`, which reads in bounded memory;
+- `write(file, options)`: returns a `Writer`; None for a format that canser only reads;
+- `cannot_hold`: what the format has no place for, a text each;
+- `about`: what a file of this format is, such as "a candump log".
 
-Other packages add formats by entry points of the group `canser.formats`, named as the format.
-There `read(file, name, tell)` takes a file open for reading bytes, what messages call it, and a
-function that takes remarks. It yields arrays of FRAME_DTYPE. `write(file)` returns a `Writer`.
+Other packages add formats by entry points of the group `canser.formats`. The entry point has the
+name of the format. There `read(file, name, add_remark)` takes a file that is open for reading
+bytes, its name in messages, and a function. It yields arrays of FRAME_DTYPE. At the end it calls
+`add_remark` with a text for each thing that the frames do not hold. `write(file)` returns a
+`Writer`.
 """
 
 import shlex
@@ -47,10 +49,10 @@ PCAPNG: Final = "pcapng"
 _GROUP: Final = "canser.formats"
 
 
-# What a format has is in this module's docstring.
+# For the attributes of a format see this module's docstring.
 Format = Any
 
-# Modules have what a format has; a type checker cannot see that of a module.
+# Any: a type checker does not see that these modules have the attributes of a format.
 BUILT_IN: Final[dict[str, Any]] = {
     RAW: raw,
     PCAPNG: recordings,
@@ -88,7 +90,7 @@ class _Added:
 
 @cache
 def _all() -> dict[str, Format]:
-    """Return all formats by their names; those of canser win."""
+    """Return all formats by their names. A name of canser's formats cannot be taken over."""
     formats = dict(BUILT_IN)
     for point in entry_points(group=_GROUP):
         added = _load(point)
@@ -106,7 +108,7 @@ def _load(point: EntryPoint) -> Format | None:
 
 
 def _warn(name: str, error: Exception) -> None:
-    """Warn that the format of another package does not work."""
+    """Warn that a format of another package does not work."""
     what = f"{type(error).__name__}: {error}"
     text = f"the format {name!r} of another package cannot be used: {what}"
     warnings.warn(text, CanserWarning, stacklevel=3)
@@ -118,7 +120,7 @@ def format_names() -> tuple[str, ...]:
 
 
 def find_format(name: str) -> Format:
-    """Return the format of a name, or raise ValueError."""
+    """Return the format with a name; ValueError if there is none."""
     found = BUILT_IN.get(name) if isinstance(name, str) else None
     if found is None and name in _all():
         found = _all()[name]
@@ -128,7 +130,7 @@ def find_format(name: str) -> Format:
 
 
 def format_of_name(path: str) -> str | None:
-    """Return the name of the format that a file's name ends as, None for any other."""
+    """Return the name of the format that has the suffix of a file's name, None if none has."""
     suffix = PurePath(path).suffix.lower()
     for formats in (BUILT_IN, _all()):
         for name, each in formats.items():
@@ -140,10 +142,10 @@ def format_of_name(path: str) -> str | None:
 
 
 def choose_format(source: Input, options: ReadOptions, given: str | None) -> str:
-    """Return the name of a file's format: the given one, else by its content, else its name.
+    """Return the name of a file's format: as given, or else by its content, or else by its name.
 
-    A pipe is waited for only as long as it takes to tell. ForeignFormatError for a format that
-    canser does not read, and for one that holds frames where a protocol of raw bytes is given.
+    Waits for as few bytes of a pipe as the answer needs. ForeignFormatError for a format that
+    canser does not read, and for one that holds frames if a protocol of raw bytes is given.
     """
     if given is not None:
         find_format(given)
@@ -171,12 +173,12 @@ def choose_format(source: Input, options: ReadOptions, given: str | None) -> str
         what = f"{source.name} is {foreign.about}, not raw bytes"
         remedy = foreign.remedy.replace("FILE", shlex.quote(source.name))
         raise ForeignFormatError(f"{what}; {remedy}", what=what, option="")
-    # A name in .pcapng alone makes no recording: the reader of raw bytes says what it finds.
+    # The suffix .pcapng alone makes no recording; the reader of raw bytes reports what it finds.
     return RAW if by_name in (None, PCAPNG) else by_name
 
 
 def _head(source: Input, *, wait: bool) -> bytes:
-    """Return the first bytes of a file; of a pipe the first line, or what is at hand."""
+    """Return the first bytes of a file; of a pipe its first line, or what has arrived."""
     if source.size is None and wait:
         size = 1
         while len(source.at(0, size)) == size < HEAD_LEN:

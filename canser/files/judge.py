@@ -1,4 +1,4 @@
-"""What the bytes of a file are: by how they begin, by what fits them, by what was skipped."""
+"""Choose the protocol of raw bytes, and doubt it if too many bytes were skipped."""
 
 from typing import Final
 
@@ -19,33 +19,33 @@ __all__ = [
     "is_auto",
 ]
 
-# The protocol that stands for the one that fits the bytes, if its score is this at least. The
-# captures of real adapters score 0.98 and more; a line that damages 1 byte in 100, 0.75.
+# The name that stands for the protocol that fits best, if its score (`Fit.score`) is at least
+# `_AUTO_SCORE`. Captures of real adapters score 0.98 and more. A line that damages 1 byte in 100
+# scores 0.75.
 AUTO: Final = "auto"
 _AUTO_SCORE: Final = 0.9
 
-# Of a pipe so many bytes are waited for to find the protocol that fits, or its end: 1.4 seconds of
-# the slowest adapter's line.
+# Bytes of a pipe to wait for before its protocol is chosen: 1.4 s of the slowest adapter's line.
 _AUTO_LEN: Final = 1 << 14
 
 _NOTHING: Final = "no protocol that canser knows"
 
 
 def check_protocol(protocol: str | None, ts_unit: str | None) -> None:
-    """Raise for a protocol or a unit that does not exist."""
+    """Raise ValueError for a protocol or a unit that does not exist, TypeError for no text."""
     known = protocols()[0] if protocol is None or is_auto(protocol) else protocol
     Decoder(known, ts_unit="ms" if ts_unit is None else ts_unit)
 
 
 def is_auto(protocol: str | None) -> bool:
-    """Return whether a protocol is to be found by the bytes."""
+    """Return whether the protocol is to be chosen by the bytes."""
     return isinstance(protocol, str) and protocol.lower() == AUTO
 
 
 def choose_protocol(protocol: str | None, source: Input) -> tuple[str, str]:
-    """Return the protocol of raw bytes, and a remark where "auto" has found it, else "".
+    """Return the protocol of raw bytes, and a remark if "auto" has found it, otherwise "".
 
-    NoProtocolError where it is neither given nor plain.
+    NoProtocolError if no protocol is given, or "auto" finds none that fits well enough.
     """
     if protocol is not None and not is_auto(protocol):
         return protocol, ""
@@ -61,7 +61,7 @@ def choose_protocol(protocol: str | None, source: Input) -> tuple[str, str]:
 
 
 def _no_protocol(name: str, fit: Fit | None) -> NoProtocolError:
-    """Return the error for bytes of which this is the best fit, None where there are none."""
+    """Return the error for bytes with this best fit; `fit` is None if there are no bytes."""
     if fit is None:
         return NoProtocolError(name, "there are no bytes to tell a protocol by", protocols())
     choices = protocols()
@@ -71,9 +71,9 @@ def _no_protocol(name: str, fit: Fit | None) -> NoProtocolError:
 
 
 def describe_doubt(name: str, protocol: str, bytes_in: int, skipped: int, sample: BytesLike) -> str:
-    """Say why bytes, of which so many are in no packet, are not of a protocol; "" if they may be.
+    """Return why bytes are not of a protocol, "" if they may be.
 
-    `sample`: some of these bytes, by which to tell what they look like.
+    `skipped`: the bytes in no packet. `sample`: some of the bytes, to name what they look like.
     """
     if not is_doubtful(protocol, bytes_in, skipped):
         return ""
@@ -90,7 +90,7 @@ def _is_plain(fit: Fit) -> bool:
 
 
 def describe_fit(fit: Fit) -> str:
-    """Say what bytes look like of which this is the best fit."""
+    """Return what bytes with this best fit look like."""
     if fit.fits:
         return f"{fit.protocol} ({fit.score:.0%})"
     return _NOTHING

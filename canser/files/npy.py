@@ -1,7 +1,7 @@
-"""numpy's .npy: the array of frames as it is, to be opened with np.load(mmap_mode="r").
+"""numpy's .npy: the array of frames, which np.load(mmap_mode="r") can open.
 
-Source: numpy's `lib.format`. Its header has room for a longer first dimension, so
-the number of frames is written when it is known.
+Source: numpy's `lib.format`. Its header has room for a longer first dimension, so the number of
+frames is written at the end, when it is known.
 """
 
 import shutil
@@ -15,7 +15,7 @@ from numpy.lib import format as npy
 from canser._frames import FRAME_DTYPE, FrameArray, reason_invalid
 from canser._input import Input
 from canser.errors import FormatError
-from canser.files._remarks import Tell, tell_all
+from canser.files._remarks import AddRemark, report_remarks
 from canser.files.reader import DecodedReader, Reader, ReadOptions
 from canser.files.writer import WriteOptions
 
@@ -25,12 +25,12 @@ suffixes: Final = (".npy",)
 
 cannot_hold: Final = ()
 
-# Frames that are handed on at a time.
+# Frames in a block: 1.5 MiB of records.
 _BLOCK = 1 << 16
 
 
 def sniff(head: bytes) -> bool:
-    """Return whether these are the first bytes of an array in a file."""
+    """Return whether a file starts as an array of numpy does."""
     return head.startswith(npy.MAGIC_PREFIX)
 
 
@@ -49,11 +49,11 @@ def _temporary() -> BinaryIO:
 
 
 class Writer:
-    """Write frames behind a header that is completed at the end."""
+    """Writes frames behind a header that is completed at the end."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._target = file
-        # A pipe cannot go back to its header: the file is made elsewhere first.
+        # A pipe cannot seek back to the header: a temporary file is made first, and then copied.
         self._file = file if file.seekable() else _temporary()
         self._count = 0
         self._start = self._file.tell()
@@ -75,7 +75,7 @@ class Writer:
         self._count += len(frames)
 
     def finish(self) -> list[str]:
-        """Write the number of frames; return what the file could not hold: nothing."""
+        """Write the number of frames; return no remarks, as the file holds everything."""
         end = self._file.tell()
         self._file.seek(self._start)
         self._write_header()
@@ -87,18 +87,26 @@ class Writer:
         return []
 
 
-def parse(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[FrameArray]:
+def parse(file: BinaryIO, name: str, add_remark: AddRemark | None = None) -> Iterator[FrameArray]:
     """Yield the frames of a file, block by block.
 
-    `file`: open for reading bytes; `name`: what messages call it. `tell` is called at the end
-    with a remark where something lies behind the array; without it that is a CanserWarning.
-    FormatError for what is no array of FRAME_DTYPE, or holds fewer frames than its header says.
+    FormatError if the file holds no array of FRAME_DTYPE, or fewer frames than its header says.
+
+    Parameters
+    ----------
+    file
+        A file that is open for reading bytes.
+    name
+        Name of the file in messages.
+    add_remark
+        Called at the end with a remark if bytes follow the array. Without it, the remark is a
+        CanserWarning.
     """
     try:
         version = npy.read_magic(file)
         read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
         shape, _, dtype = read_header(file)
-    except Exception as error:  # noqa: BLE001 - numpy evaluates the header: anything may come
+    except Exception as error:  # noqa: BLE001 - numpy evaluates the header: any error may come
         reason = str(error).partition("\n")[0]
         raise FormatError(f"{name}: no .npy file: {reason}") from None
     if dtype != FRAME_DTYPE or len(shape) != 1 or shape[0] < 0:
@@ -121,7 +129,8 @@ def parse(file: BinaryIO, name: str, tell: Tell | None = None) -> Iterator[Frame
     while more := len(file.read(_BLOCK)):
         behind += more
     if behind:
-        tell_all([f"bytes behind the array, which are not read: {behind:,}"], name, tell)
+        remark = f"bytes behind the array, which are not read: {behind:,}"
+        report_remarks([remark], name, add_remark)
 
 
 def _check(frames: FrameArray, first: int, name: str) -> None:

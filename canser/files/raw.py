@@ -1,6 +1,6 @@
-"""Raw bytes of an adapter's line, as they came: decoded and encoded in one of the protocols.
+"""Raw bytes of an adapter's line: decoded and encoded in one of the protocols.
 
-They do not say what they are: the protocol is given, or found by `identify`.
+The bytes do not name their protocol: it is given, or found by `identify`.
 """
 
 import mmap
@@ -31,18 +31,19 @@ about: Final = "raw bytes"
 
 cannot_hold: Final = ("what the protocol has no place for, such as times",)
 
-# A device's counter has this many ticks.
+# Ticks that the counter of a device counts before it wraps: 32 bits in all protocols.
 _CLOCK_TICKS: Final = 1 << 32
 
-# Bytes that get a time together at most. No more frames are in them.
-_STEP: Final = 1 << 10
+# The most bytes that get one time. They hold fewer frames than this, so the arrays for the frames
+# of one step have this length, too.
+_STEP_LEN: Final = 1 << 10
 
-# Frames in a block where the caller gives no `out`: 1.5 MiB, which fits a cache.
+# Frames in a block if the caller gives no `out`: 1.5 MiB of records, which fit a cache.
 BLOCK_FRAMES = 1 << 16
 
 
 def sniff(head: bytes) -> bool:  # noqa: ARG001 - as for every format
-    """Return False: nothing tells raw bytes by their first bytes."""
+    """Return False: raw bytes have no sign at their start."""
     return False
 
 
@@ -52,13 +53,13 @@ def read(source: Input, options: ReadOptions) -> "RawReader":
     Raises
     ------
     NoProtocolError
-        Where the protocol is neither given nor plain.
+        No protocol is given, or "auto" finds none that fits well enough.
     """
     return RawReader(source, options)
 
 
 class RawReader(Reader):
-    """Reads raw bytes; a regular file is mapped, a piece at a time."""
+    """Reads raw bytes. A regular file is mapped, one window at a time."""
 
     decoder: Decoder
 
@@ -69,11 +70,12 @@ class RawReader(Reader):
         name, self.found = choose_protocol(options.protocol, source)
         unit = "ms" if options.ts_unit is None else options.ts_unit
         self.decoder = Decoder(name, ts_unit=unit)
-        self._begin = self._begin_skipped = 0  # of the stream, where this file begins
+        # The decoder's `position` and `skipped` at the start of this file.
+        self._begin = self._begin_skipped = 0
         self._ended_doubt: str | None = None  # None before the end
 
     def carry_on(self, last: Reader) -> bool:
-        """Go on with the stream of the raw bytes before; False if they are of another kind."""
+        """Continue the stream of the file before; return False if it is of another protocol."""
         if not isinstance(last, RawReader) or repr(last.decoder) != repr(self.decoder):
             return False
         self.decoder = last.decoder
@@ -100,7 +102,7 @@ class RawReader(Reader):
 
     @property
     def doubt(self) -> str:
-        """Why the bytes so far are not of the protocol they are read in; "" if they may be."""
+        """Why the bytes so far are not of the protocol that they are read in; "" if they may be."""
         if self._ended_doubt is not None:
             return self._ended_doubt
         decoder = self.decoder
@@ -109,36 +111,36 @@ class RawReader(Reader):
         return describe_doubt(self._source.name, decoder.protocol, bytes_in, skipped, sample)
 
     def close(self) -> None:
-        """Take it that nothing more is read. What was not read to its end is not judged."""
+        """End the reading. A file that was not read to its end gets no `doubt`."""
         if self._ended_doubt is None:
             self._ended_doubt = ""
 
     def sample(self) -> memoryview:
-        """Return bytes of the file: all that can be mapped, of a pipe the first 64 KiB.
+        """Return bytes of the file: all of a regular file, the first 64 KiB of a pipe.
 
-        They are waited for, or for the end of the pipe. Before the first block only.
+        Waits for these bytes, or for the end of the pipe. Call it before the first block.
         """
         if self._source.size is None:
             self._source.at(0, _input.HEAD_LEN)
         return self._source.sample()
 
     def timed_bytes(self) -> Iterator[tuple[memoryview, int]]:
-        """Yield all bytes, and when their last one came, in nanoseconds; they are decoded, too.
+        """Yield all bytes in pieces with the time of their last byte, in nanoseconds.
 
-        The time is that of the device's clock where frames carry it, else the line's rate tells
-        how long the bytes took.
+        The time is that of the device's clock if frames carry it; otherwise it follows from the
+        baud rate. The bytes are also decoded.
         """
         timed = protocol(self.decoder.protocol)
         byte_ns = 10e9 / timed.baudrate  # a start bit, 8 bits, a stop bit
-        out, at = np.empty(_STEP, FRAME_DTYPE), np.empty(_STEP, np.int64)
+        out, at = np.empty(_STEP_LEN, FRAME_DTYPE), np.empty(_STEP_LEN, np.int64)
         ns = 0
-        while len(piece := self._source.some(self.bytes_done)[:_STEP]):
+        while len(piece := self._source.some(self.bytes_done)[:_STEP_LEN]):
             begin, end = self.bytes_done, self.bytes_done + len(piece)
             _, count = self.decoder.feed_into(piece, out, at)
             self.bytes_done = end
             cuts = []
             if timed.has_clock:
-                # A frame's time is that of its first byte and of all up to the next frame.
+                # A frame's time is given to its first byte and to all bytes up to the next frame.
                 cuts = list(zip(at[:count].tolist(), out["ts"][:count].tolist(), strict=True))
             else:
                 ns = round(end * byte_ns)
@@ -152,14 +154,14 @@ class RawReader(Reader):
         self._end()
 
     def _run_ahead(self, ends: Callable[[], bool]) -> Generator[FrameArray, None, None]:
-        """Yield the blocks that several threads make, and the last one as `_run` does."""
+        """Yield the blocks that several threads decode; the last one as `_run` does."""
         decoder = self.decoder
         sink = _Fresh(decoder) if self._out is None else _Reused(decoder, self._out, self._offsets)
-        # One map for all threads; its pages are given back as the stream goes by.
+        # One map for all threads. Pages that were decoded are given back to the system.
         whole = self._source.map_whole()
         kept, start, window = 0, self._source.start, _input.WINDOW
-        # Helpers begin where the stream holds nothing: the packet that was begun in the file
-        # before comes first, alone.
+        # Helper threads need a decoder without pending bytes. A packet that began in the file
+        # before is therefore finished first, by this thread.
         if decoder.pending:
             yield from self._finish_packet(whole)
         first = self.bytes_done
@@ -182,7 +184,7 @@ class RawReader(Reader):
         yield from self._run(ends, sink.begun)
 
     def _finish_packet(self, whole: memoryview) -> Iterator[FrameArray]:
-        """Decode byte by byte until the stream holds nothing."""
+        """Decode byte by byte until no bytes are pending."""
         out, at = self._room()
         while self.decoder.pending and self.bytes_done < len(whole):
             byte = whole[self.bytes_done : self.bytes_done + 1]
@@ -193,7 +195,7 @@ class RawReader(Reader):
                 out, at = self._room()
 
     def _run(self, ends: Callable[[], bool], count: int = 0) -> Generator[FrameArray, None, None]:
-        """Yield the blocks of raw bytes; `count` frames are in `out` already."""
+        """Yield the blocks. `count`: frames that are already in `out`."""
         decoder = self.decoder
         out, at = self._room()
         while len(piece := self._source.some(self.bytes_done)):
@@ -208,9 +210,10 @@ class RawReader(Reader):
                 if count == len(out):
                     yield out
                     (out, at), count = self._room(), 0
-                    if self._source.size is not None:  # the caller may have taken long
+                    # The file may have become shorter while the caller used the block.
+                    if self._source.size is not None:
                         self._source.check_size()
-            # Bytes of a pipe may be long in coming: do not sit on frames.
+            # Otherwise frames would wait until more bytes of the pipe arrive.
             if count and self._source.size is None:
                 yield out[:count]
                 (out, at), count = self._room(), 0
@@ -230,7 +233,7 @@ class RawReader(Reader):
         self._end()
 
     def _end(self) -> None:
-        """Judge the bytes while they can be looked at."""
+        """Keep the `doubt`: after the end the bytes cannot be read again."""
         self._ended_doubt = self.doubt
 
     def _room(self) -> tuple[FrameArray, Offsets | None]:
@@ -240,7 +243,7 @@ class RawReader(Reader):
 
 
 def _windows(source: Input) -> Iterator[memoryview]:
-    """Yield all bytes of a file, piece by piece."""
+    """Yield all bytes of a file, one window at a time."""
     at = 0
     while len(piece := source.some(at)):
         yield piece
@@ -248,13 +251,13 @@ def _windows(source: Input) -> Iterator[memoryview]:
 
 
 class _Fresh:
-    """A new array for each block: a helper's as it is, or one that the caller fills."""
+    """Makes a new array for each block: the one of a helper thread, or one for this thread."""
 
-    begun = 0  # frames in a block that is not full: none, at the end
+    begun = 0  # frames in a block that is not full; at the end there is none
 
     def __init__(self, decoder: Decoder) -> None:
         self._make_chunk = decoder.make_chunk
-        # In order; a place is empty until its helper has filled it.
+        # Blocks in order. A list is empty until its helper thread has decoded the block.
         self._blocks: deque[list[FrameArray]] = deque()
         self._out: FrameArray | None = None
         self._count = 0
@@ -276,12 +279,13 @@ class _Fresh:
         self._close()
         place: list[FrameArray] = []
         self._blocks.append(place)
-        # Made here, for memory that this thread has freed is taken again; a helper's is not.
+        # Made by this thread: the allocator reuses memory that this thread has freed. Memory of a
+        # helper thread would not be reused.
         room = chunk.make_room()
         return lambda: place.append(chunk.hand_over(room))
 
     def take(self, *, last: bool) -> Iterator[FrameArray]:
-        """Yield the blocks that are ready, in order; the last time all are."""
+        """Yield the blocks that are ready, in order. With `last` all are ready."""
         if last:
             self._close()
         while self._blocks and self._blocks[0]:
@@ -296,13 +300,13 @@ class _Fresh:
 
 
 class _Reused:
-    """The caller's array, filled again and again."""
+    """Fills the caller's array again for each block."""
 
     def __init__(self, decoder: Decoder, out: FrameArray, offsets: Offsets | None) -> None:
         self._make_chunk = decoder.make_chunk
         self._out, self._offsets = out, offsets
         self.begun = 0  # frames in `out`
-        # Of a helper's frames those that `out` had no room for.
+        # Frames of a helper thread that `out` had no room for.
         self._rest = np.empty(0, FRAME_DTYPE)
         self._rest_offsets = np.empty(0, np.int64)
 
@@ -316,7 +320,7 @@ class _Reused:
         self.begun += count
 
     def place(self, chunk: ParallelChunk) -> Callable[[], None]:
-        # Copied here and now: the helper may take its room again.
+        # Copied now, because the helper thread may reuse its array afterwards.
         self._rest = chunk.hand_over(chunk.make_room())
         if chunk.offsets is not None:
             self._rest_offsets = chunk.offsets[: len(self._rest)].copy()
@@ -324,7 +328,7 @@ class _Reused:
         return lambda: None
 
     def take(self, *, last: bool) -> Iterator[FrameArray]:  # noqa: ARG002 - as _Fresh
-        """Yield `out` as often as it is full."""
+        """Yield `out` each time that it is full."""
         while self.begun == len(self._out):
             block, self.begun = self._out[: self.begun], 0
             yield block
@@ -349,9 +353,9 @@ def write(file: BinaryIO, options: WriteOptions) -> "RawWriter":
 class RawWriter:
     """Writes frames as the raw bytes of a protocol.
 
-    Where the protocol's clock cannot count up to the first frame's time, such as a date, times
-    go out from the first frame on. Frames that the protocol cannot carry are left out; with
-    `strict` they are a ValueError. FormatError at the end if it can carry none.
+    If the protocol's clock cannot count to the time of the first frame, such as a date, times are
+    written relative to the first frame. Frames that the protocol cannot carry are left out; with
+    `strict` they raise ValueError. FormatError at the end if the protocol can carry none.
     """
 
     def __init__(self, file: BinaryIO, options: WriteOptions) -> None:
@@ -362,7 +366,7 @@ class RawWriter:
         self._encoder = Encoder(options.protocol, ts_unit=options.ts_unit)
         self._refusals = Refusals(options.protocol)
         self._remarks: list[str] = []
-        self._start_ns = 0  # what is taken off each time
+        self._start_ns = 0  # subtracted from each time
         self.frames = self.bytes_out = 0
 
     def write(self, frames: FrameArray) -> None:
@@ -378,12 +382,12 @@ class RawWriter:
         self.bytes_out += len(raw)
 
     def _shifted(self, frames: FrameArray) -> FrameArray:
-        """Return frames in times that the clock can count."""
+        """Return frames with times that the protocol's clock can count."""
         if not self.frames:
             first = int(frames["ts"][0])
             if first != NO_TIME and not 0 <= first // self._tick_ns < _CLOCK_TICKS:
                 self._start_ns = first
-                self._remarks.append("times go out from the first frame on")
+                self._remarks.append("times are written relative to the first frame")
         if not self._start_ns:
             return frames
         shifted = copy_records(frames)
@@ -391,7 +395,7 @@ class RawWriter:
         return shifted
 
     def finish(self) -> list[str]:
-        """Return what the bytes do not hold."""
+        """Return remarks on what the bytes do not hold."""
         name, refusals = self._protocol.name, self._refusals
         if refusals.left_out and not self.frames:
             raise FormatError(

@@ -1,4 +1,4 @@
-"""What a reader gives, whatever the format: blocks of frames, and what is known of the file."""
+"""Readers: the frames of a file in blocks, and what is known of the file, for any format."""
 
 import io
 from collections.abc import Callable, Iterator
@@ -9,18 +9,18 @@ from canser._core.buffers import Offsets
 from canser._frames import FrameArray, put_records
 from canser._input import Input
 from canser.codec.decoder import Decoder
-from canser.files._remarks import Tell
+from canser.files._remarks import AddRemark
 from canser.recording.header import RecordingInfo
 
 __all__ = ["DecodedReader", "Parse", "ReadOptions", "Reader", "refill"]
 
-# Yields the frames of a file; the name is what messages call it, and `Tell` takes remarks.
-Parse = Callable[[BinaryIO, str, Tell], Iterator[FrameArray]]
+# Yields the frames of a file. Takes the file, its name in messages, and what takes remarks.
+Parse = Callable[[BinaryIO, str, AddRemark], Iterator[FrameArray]]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReadOptions:
-    """How files are to be read; for what the arguments of `canser.blocks` mean see there."""
+    """How files are to be read. The fields without a comment are arguments of `canser.blocks`."""
 
     protocol: str | None = None
     ts_unit: str | None = None
@@ -28,9 +28,9 @@ class ReadOptions:
     offsets: Offsets | None = None
     threads: int = 1
     as_is: bool = False
-    #: Of a log of several buses the channel that is read, such as "can0"; None for all.
+    #: Channel to read from a log of several buses, such as "can0"; None for all.
     bus: str | None = None
-    #: `protocol` and `ts_unit` are those of raw bytes; a recording has its own.
+    #: Whether `protocol` and `ts_unit` are for raw bytes only, and a recording keeps its own.
     raw_only: bool = False
 
 
@@ -42,11 +42,11 @@ class Reader:
     decoder : Decoder or None
         The decoder of its bytes; None for a format that holds frames.
     recording : RecordingInfo or None
-        What a recording knows of its line; None for any other format.
+        The line that a recording is of; None for any other format.
     found : str
-        Which protocol "auto" has found, "" if it was given.
+        A remark with the protocol that "auto" has found, "" if the protocol was given.
     bytes_done : int
-        How far in the file the reading has come.
+        Bytes of the file that were read.
     has_buses : bool
         Whether the format names the bus of each frame.
     """
@@ -60,29 +60,29 @@ class Reader:
     def blocks(self, ends: Callable[[], bool]) -> Iterator[FrameArray]:
         """Yield the frames, block by block.
 
-        `ends` is asked at the end of the file: whether the stream ends there.
+        `ends` is called at the end of the file, and returns whether the stream ends there.
         """
         raise NotImplementedError
 
     def read_all(self, offsets: Offsets | None) -> FrameArray:
-        """Return all frames in one array; of a reader with a decoder."""
+        """Return all frames in one array. Only readers with a decoder have this."""
         raise NotImplementedError
 
     @property
     def remarks(self) -> list[str]:
-        """What to know of the file so far: what is damaged, lost, or is no frame."""
+        """Remarks about the file so far: what is damaged, lost, or no frame."""
         return []
 
     @property
     def doubt(self) -> str:
-        """Why the bytes so far are not of the protocol they are read in; "" if they may be."""
+        """Why the bytes so far are not of the protocol that they are read in; "" if they may be."""
         return ""
 
     def close(self) -> None:
-        """Take it that nothing more of the file is read."""
+        """End the reading: nothing more of the file is read."""
 
-    def carry_on(self, last: "Reader") -> bool:  # noqa: ARG002 - a reader of raw bytes does
-        """Go on with the stream of the file before this one; False where that cannot be."""
+    def carry_on(self, last: "Reader") -> bool:  # noqa: ARG002 - used for raw bytes
+        """Continue the stream of the file before this one; return False if that is impossible."""
         return False
 
 
@@ -97,7 +97,7 @@ class DecodedReader(Reader):
         self._remarks: list[str] = []
 
     def blocks(self, ends: Callable[[], bool]) -> Iterator[FrameArray]:  # noqa: ARG002
-        """Yield the frames, block by block; no packet goes on in the next file."""
+        """Yield the frames, block by block. No packet continues in the next file."""
         frames = self._run()
         yield from frames if self._out is None else refill(frames, self._out)
 
@@ -111,12 +111,12 @@ class DecodedReader(Reader):
 
     @property
     def remarks(self) -> list[str]:
-        """What to know of the file, known at its end."""
+        """Remarks about the file; complete at its end."""
         return list(self._remarks)
 
 
 def refill(blocks: Iterator[FrameArray], out: FrameArray) -> Iterator[FrameArray]:
-    """Yield frames in the array of the caller, full but for the last time."""
+    """Yield frames in the caller's array, which is full each time but the last."""
     count = 0
     for frames in blocks:
         at = 0

@@ -1,4 +1,4 @@
-"""Files of any format, one or several, as one stream of frames: block by block, or as a whole."""
+"""Read one file or several, of any format, as one stream of frames: in blocks, or as a whole."""
 
 import contextlib
 import dataclasses
@@ -27,49 +27,48 @@ from canser.recording.header import RecordingInfo
 
 __all__ = ["Blocks", "Notes", "Progress", "Source", "Sources", "blocks", "listed", "read"]
 
-# Called after each block with the bytes done and the bytes in all, None where that is not known.
+# Called after each block with the bytes done and the bytes in all, None if that is not known.
 Progress = Callable[[int, int | None], None]
 
 # One file, or several in their order.
 Sources = Source | Sequence[Source]
 
-# Frames in a block of those that are sorted: 1.5 MiB.
+# Frames in a block after sorting: 1.5 MiB of records.
 _SORTED_BLOCK = 1 << 16
 
 
 class FilePart(NamedTuple):
-    """What one of several files has given."""
+    """One file of those that were read; given by `Blocks.files` and `FileInfo.files`."""
 
+    #: Name of the file, as messages write it.
     name: str
+    #: Format of the file, such as "candump".
     format: str
+    #: Number of frames that were read from the file so far.
     frames: int
 
 
 class Notes(NamedTuple):
-    """What to know of files besides their frames; each line has the name of its file.
+    """Messages about files that were read; given by `Blocks.notes`.
 
-    Attributes
-    ----------
-    found : tuple of str
-        Which protocols "auto" has found.
-    remarks : tuple of str
-        What is damaged, what is lost, what the frames do not hold.
-    doubt : str
-        Why bytes are not of the protocol they were read in; "" if they may be.
+    Each message is one line and starts with the name of its file.
     """
 
+    #: The protocols that "auto" has found, one line for each file.
     found: tuple[str, ...]
+    #: What is damaged, what is lost, and what the frames do not hold.
     remarks: tuple[str, ...]
+    #: Why the bytes are not of the protocol that they were read in; "" if they may be.
     doubt: str
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """What was found, and the remarks."""
+        """The lines of `found`, then those of `remarks`."""
         return self.found + self.remarks
 
     @property
     def all_lines(self) -> tuple[str, ...]:
-        """These, and the doubt, with what accepts the bytes."""
+        """The lines of `lines`; and if there is a `doubt`, a line with it and with its remedy."""
         return (*self.lines, f"{self.doubt}; as_is=True accepts them") if self.doubt else self.lines
 
 
@@ -90,69 +89,89 @@ def blocks(
 
     Parameters
     ----------
-    source : path, file open for reading bytes, or a list of these
-        What is read, a file from where it stands. Several files are one stream, in the order
-        given. A regular file is mapped, a piece at a time; a pipe is read as its bytes come.
+    source : str, path-like, binary file, or list of these
+        The file to read. A file that is open is read from its current position. Several files
+        are read as one stream, in the order given. A regular file is mapped, one window at a
+        time. A pipe is read as its bytes arrive.
     protocol : str, optional
-        Of raw bytes, which do not say it: a name of `protocols()`, or "auto" for the one that
-        fits with a score of 0.9 at least, as `identify` tells; a CanserWarning says which.
-        A recording knows its own. Of several files it is that of the raw bytes among them.
+        Protocol of raw bytes, which do not name it: a name of `protocols()`, or "auto". "auto"
+        takes the protocol that fits best, if its score is 0.9 or more (see `identify`); a
+        CanserWarning names it. A recording names its own protocol. With several files, this is
+        the protocol of those that are raw bytes.
     format : str, optional
-        "raw", "pcapng" (a recording), "candump", "csv" or "npy". By default the format shows by
-        the first bytes of the file, else by the suffix of its name, else it is "raw".
+        "raw", "pcapng" (a recording), "candump", "csv", "npy", or a format that another package
+        adds. By default the first bytes of the file decide; if they do not, the suffix of its
+        name; if that does not, the format is "raw".
     ts_unit : str, optional
-        Unit of the device's timestamps in raw bytes, "s", "ms", "us" or "ns"; "ms" by default.
+        Unit of the device's timestamps in raw bytes: "s", "ms", "us" or "ns"; "ms" by default.
     out : array of FRAME_DTYPE, shape (n,), optional
-        Is filled again and again: a block is `out[:count]`, good until the next. By default
-        each block is a new array.
+        Array that is filled again for each block. A block is `out[:count]`, valid until the next
+        block. By default each block is a new array.
     offsets : array of int64 or uint64, shape (n,), optional
-        Goes with `out`, for raw bytes and recordings: `offsets[:count]` are the stream offsets
-        of the block's frames.
-    threads : int
-        How many may work on a regular file of raw bytes, as for `decode`; the frames are the
-        same for any number, and without `out` the blocks are cut elsewhere.
+        For raw bytes and recordings, together with `out`: filled with the stream offsets of the
+        frames, in bytes. Those of a block are `offsets[:count]`.
+    threads : int, optional
+        Number of threads that may decode a regular file of raw bytes, as for `decode`; 1 by
+        default. The frames are the same for any number. Without `out` the blocks have other
+        lengths.
     progress : callable, optional
-        Is called after each block with the bytes done, and the bytes in all or None.
+        Called after each block as `progress(bytes_done, bytes_total)`. `bytes_total` is None if
+        it is not known.
     bus : str, optional
-        Of a log of several buses the channel to read, such as "can0"; by default all.
-    as_is : bool
-        Read the bytes in that protocol whatever they look like, without a warning, though they
-        are plainly another format's or a recording says another protocol.
+        Channel to read from a log of several buses, such as "can0"; all channels by default.
+    as_is : bool, optional
+        Read the bytes in the protocol given, whatever they look like: without a warning, and
+        even if they are plainly another format, or a recording of another protocol. False by
+        default.
 
     Returns
     -------
     Blocks
-        An iterator of arrays of FRAME_DTYPE, shape (count,), count >= 1.
+        Iterator over arrays of FRAME_DTYPE, shape (count,), count >= 1.
 
     Warns
     -----
     CanserWarning
-        At the end, where so many bytes lie in no packet that the protocol is not theirs: half
-        of 1,000 or more (in `cantalope` 4.6 %, 0.4 of what random bytes give); where a file of
-        several begins earlier than the one before it has ended.
+        At the end, if too many bytes lie in no packet for the protocol to be right. The limit is
+        half of the bytes, if there are 1,000 or more (for `cantalope` 4.6 %, which is 0.4 times
+        the share in random bytes). Also if one of several files starts before the end of the
+        file before it.
 
     Raises
     ------
     NoProtocolError
-        A ValueError, for raw bytes without a protocol.
+        A ValueError: raw bytes without a protocol.
     WrongProtocolError
-        A ValueError, for another protocol than a recording's own.
+        A ValueError: a recording has another protocol than the one given.
+    ValueError
+        An option has a value that does not exist or does not go with the file, such as a
+        `format` that is not known, `offsets` without `out`, or `bus` for a file without buses.
     FormatError
-        For a file that is not what its format promises; ForeignFormatError for a format that
-        canser does not read, and for one that holds frames where a protocol is given;
-        RecordingError for pcapng that is none of canser's. For files in one stream of which one
-        counts from 1970 and another one from a device's start.
+        The content of a file is not valid in its format, or one of several files counts its
+        times from 1970 and another one from the start of a device. A ForeignFormatError: canser
+        does not read the format, or a protocol is given and the format holds frames. A
+        RecordingError: a pcapng file that was not written by canser.
     TypeError
-        For what is no path and no file open for reading bytes.
+        `source` is no path and no file that is open for reading bytes.
     OSError
-        For a file that cannot be read, or gets shorter meanwhile. (If it gets shorter in the
-        milliseconds in which a block of it is decoded the system ends the process: copy a file
-        that another program may cut.)
+        A file cannot be read, or it gets shorter meanwhile.
+
+    Notes
+    -----
+    The system ends the process (SIGBUS) if a mapped file gets shorter in the milliseconds in
+    which a block of it is decoded. Copy a file that another program may cut.
 
     Examples
     --------
-    >>> for block in canser.blocks("run.bin", "seeed"):
-    ...     print(len(block))
+    >>> frames = canser.frames("123#01", "456#0203", "123#02")
+    >>> frames["ts"] = [0, 1_000_000, 5_000_000]
+    >>> written = canser.write(frames, "run.bin", "serial")
+    >>> counts = {}
+    >>> for block in canser.blocks("run.bin", "serial"):
+    ...     for can_id in block["id"].tolist():
+    ...         counts[can_id] = counts.get(can_id, 0) + 1
+    >>> counts
+    {291: 2, 1110: 1}
     """
     if offsets is not None and out is None:
         raise ValueError("offsets goes with out: give both")
@@ -172,7 +191,7 @@ def blocks(
 
 
 def _checked(file_format: str | None, **given: Any) -> ReadOptions:
-    """Return the options; a mistake in them shows here, and no file is opened."""
+    """Return the options. An invalid one is refused before a file is opened."""
     options = ReadOptions(**given)
     check_protocol(options.protocol, options.ts_unit)
     if file_format is not None:
@@ -181,14 +200,28 @@ def _checked(file_format: str | None, **given: Any) -> ReadOptions:
 
 
 class Blocks(Uncopied, Iterator[FrameArray]):
-    """The blocks of one file or several: an iterator, made by `blocks`; a context manager.
+    """Iterator over the blocks of one file or several, made by `blocks`; a context manager.
+
+    The files close at the end of the iteration, by `close`, and at the end of a `with`. The
+    properties may be read at any time; before the first block, some wait for the first bytes of a
+    pipe.
 
     Attributes
     ----------
     sources : list
-        What is read, as it was given.
+        The files to read, as they were given.
     bytes_total : int or None
-        Bytes of all files, None where that is not known.
+        Bytes of all files, None if that is not known.
+
+    Examples
+    --------
+    >>> frames = canser.frames("123#01", "456#0203")
+    >>> frames["ts"] = [0, 1_000_000]
+    >>> written = canser.write(frames, "run.log")
+    >>> with canser.blocks("run.log") as blocks:
+    ...     lengths = [len(block) for block in blocks]
+    >>> lengths, blocks.files
+    ([2], [FilePart(name='run.log', format='candump', frames=2)])
     """
 
     def __init__(
@@ -201,7 +234,7 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         sort: bool = False,
         warns: bool = False,
     ) -> None:
-        """Open files; `warns`: CanserWarnings tell of them, else `notes` do."""
+        """Open files. With `warns` what is to be known of them is a warning, else only a note."""
         self.sources = listed(source)
         if len(self.sources) > 1:
             # Formats may mix: the protocol is that of the raw bytes among them.
@@ -219,7 +252,7 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         if sort:
             self._blocks = _sorted(self._blocks, options.out)
         self._inputs.append(Input(self.sources[0]))
-        # A pipe that needs not be asked is not waited for.
+        # With a protocol given, a pipe need not be waited for yet.
         if options.protocol is None or self._inputs[0].size is not None:
             try:
                 self._begin(stacklevel=4)
@@ -242,7 +275,7 @@ class Blocks(Uncopied, Iterator[FrameArray]):
             raise
         if self._progress is not None:
             self._progress(self.bytes_done, self.bytes_total)
-        # A block that is far from full would hold memory without need.
+        # Otherwise a block that is far from full would keep the memory of a full one.
         whole = block.base
         if (
             self._options.out is None
@@ -260,7 +293,7 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         self.close()
 
     def close(self) -> None:
-        """Close the files that `blocks` opened. Done by itself at the end."""
+        """Close the files that `blocks` opened. This also happens at the end of the iteration."""
         if not self._closed:
             self._closed = True
             self._blocks.close()
@@ -271,38 +304,38 @@ class Blocks(Uncopied, Iterator[FrameArray]):
 
     @property
     def reader(self) -> Reader:
-        """The reader of the file that is read now; a pipe is waited for."""
+        """The reader of the current file, for this package's own use; waits for a pipe."""
         return self._begin()
 
     @property
     def bytes_done(self) -> int:
-        """Bytes of the files that were read."""
+        """Bytes of the files that were read so far."""
         return self._done + (self._readers[-1].bytes_done if self._readers else 0)
 
     @property
     def name(self) -> str:
-        """The name of the file that is read now, as messages call it."""
+        """The name of the current file, as messages write it."""
         return self._inputs[-1].name
 
     @property
     def format(self) -> str:
-        """The format of the file that is read now; a pipe is waited for."""
+        """The format of the current file; waits for the first bytes of a pipe."""
         self._begin()
         return self._files[-1].format
 
     @property
     def files(self) -> list[FilePart]:
-        """The files so far: name, format, number of frames."""
+        """The files so far, as `FilePart`: name, format, number of frames."""
         return list(self._files)
 
     @property
     def decoder(self) -> Decoder:
-        """The decoder of the file that is read now; a pipe is waited for.
+        """The decoder of the current file; waits for the first bytes of a pipe.
 
         Raises
         ------
         ValueError
-            For a format that holds frames, and no bytes of an adapter.
+            The format holds frames, and no bytes of an adapter.
         """
         found = self._begin().decoder
         if found is None:
@@ -311,14 +344,14 @@ class Blocks(Uncopied, Iterator[FrameArray]):
 
     @property
     def protocol(self) -> str | None:
-        """The protocol of the last file with bytes of an adapter, None where there is none yet."""
+        """The protocol of the last file with bytes of an adapter, None if there is none so far."""
         self._begin()
         decoders = self._decoders()
         return decoders[-1].protocol if decoders else None
 
     @property
     def stats(self) -> Stats | None:
-        """The counters of all files so far; None where no bytes of an adapter were decoded."""
+        """The counters of all files so far, None if none has bytes of an adapter."""
         self._begin()
         total: Stats | None = None
         for decoder in self._decoders():
@@ -326,22 +359,29 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         return total
 
     def take_controls(self) -> list[Control]:
-        """Return the control packets of all files so far; see `Decoder.take_controls`."""
+        """Return the control packets since the last call, of all files; and forget them.
+
+        Returns
+        -------
+        list of Control
+            In the order of the stream, the last 65,536 of each decoder if there are more; see
+            `Decoder.take_controls`.
+        """
         return [control for decoder in self._decoders() for control in decoder.take_controls()]
 
     def _decoders(self) -> list[Decoder]:
-        """Return the decoders of all files so far, each once."""
+        """Return the decoders of all files so far. Files of one stream share a decoder."""
         found = {id(each.decoder): each.decoder for each in self._readers if each.decoder}
         return list(found.values())
 
     @property
     def recording(self) -> RecordingInfo | None:
-        """What a recording knows of its line, None for other formats; a pipe is waited for."""
+        """The line that a recording is of, None for other formats; waits for a pipe."""
         return self._begin().recording
 
     @property
     def notes(self) -> Notes:
-        """What to know of the files so far; a pipe is waited for."""
+        """Messages about the files so far; waits for the first bytes of a pipe."""
         self._begin()
         opened = list(zip(self._inputs, self._readers, strict=False))
         found = [f"{source.name}: {reader.found}" for source, reader in opened if reader.found]
@@ -352,22 +392,27 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         return Notes(tuple(found), (*remarks, *self._order.remarks), next(filter(None, doubts), ""))
 
     def sample(self) -> memoryview:
-        """Return some of the raw bytes of the first file, to tell what they are.
+        """Return some raw bytes of the first file, for `identify`. Call it before the first block.
 
-        Of a pipe the first 64 KiB are waited for. Before the first block only.
+        Waits for the first 64 KiB of a pipe, or for its end.
+
+        Returns
+        -------
+        memoryview
+            Bytes of the file; those of a regular file that can be mapped are all its bytes.
         """
         reader = self._begin()
         assert isinstance(reader, RawReader)
         return reader.sample()
 
     def _begin(self, stacklevel: int = 3) -> Reader:
-        """Look what the first file holds, unless that is known; return what is read now."""
+        """Open the first file, unless that is done; return the reader of the current file."""
         if not self._readers:
             self._open(stacklevel + 1)
         return self._readers[-1]
 
     def _open(self, stacklevel: int) -> None:
-        """Look what the last one of the inputs holds."""
+        """Find the format of the last input, and make its reader."""
         source, options = self._inputs[-1], self._options
         with named(source.name):
             name = choose_format(source, options, self._format)
@@ -398,14 +443,14 @@ class Blocks(Uncopied, Iterator[FrameArray]):
                 )
                 yield block
             more = len(self._readers) > at + 1 or self._next()
-            # A list of files may be longer than the system lets be open at a time.
+            # Otherwise a long list of files would exceed the system's limit of open files.
             reader.close()
             self._inputs[at].close()
             if not more:
                 return
 
     def _named(self, reader: Reader, name: str) -> Iterator[FrameArray]:
-        """Yield the blocks of a file; an error of the system names it."""
+        """Yield the blocks of a file. An OSError gets the name of the file."""
         run = reader.blocks(self._stream_ends)
         while True:
             with named(name):
@@ -415,7 +460,7 @@ class Blocks(Uncopied, Iterator[FrameArray]):
             yield block
 
     def _stream_ends(self) -> bool:
-        """Open the next file; return whether it does not go on with the stream of this one."""
+        """Open the next file; return False if it continues the stream of the current one."""
         last = self._readers[-1]
         if not self._next():
             return True
@@ -432,18 +477,18 @@ class Blocks(Uncopied, Iterator[FrameArray]):
 
 
 class _Order:
-    """Watches that several files make one stream in time."""
+    """Checks that the times of several files follow each other."""
 
     def __init__(self, *, sorts: bool) -> None:
         self._sorts = sorts
         self.remarks: list[str] = []
-        self._place, self._name = -1, ""  # of the file that is read
-        self._last_name, self._last_ns = "", NO_TIME  # where the files before have ended
+        self._place, self._name = -1, ""  # the current file
+        self._last_name, self._last_ns = "", NO_TIME  # the file before it, and its last time
         self._newest_ns = NO_TIME
         self._epoch: tuple[str, bool] | None = None  # a file, and whether it counts from 1970
 
     def follow(self, block: FrameArray, place: int, name: str) -> str:
-        """Take the next block of a file by its place; return a remark where it begins too early."""
+        """Take the next block of the file at a place; return a remark if it begins too early."""
         ts = block["ts"]
         timed = ts[ts != NO_TIME]
         if not len(timed):
@@ -480,7 +525,7 @@ class _Order:
 def _sorted(
     blocks: Iterator[FrameArray], out: FrameArray | None
 ) -> Generator[FrameArray, None, None]:
-    """Yield all frames ordered by their time; those without one come first."""
+    """Yield all frames in the order of their times; first those without a time."""
     whole = concat(map(copy_records, blocks))
     ordered = whole.take(np.argsort(whole["ts"], kind="stable"))
     parts = (ordered[at : at + _SORTED_BLOCK] for at in range(0, len(ordered), _SORTED_BLOCK))
@@ -488,16 +533,16 @@ def _sorted(
 
 
 def listed(source: Sources) -> list[Source]:
-    """Return the files of an argument that is one or several."""
+    """Return the list of files of an argument that is one file or several."""
     if not isinstance(source, (list, tuple)):
-        return [cast(Source, source)]  # Input refuses what is none
+        return [cast(Source, source)]  # Input refuses what is no file
     if not source:
-        raise ValueError("the list of files is empty; name one at least")
+        raise ValueError("the list of files is empty; name at least one")
     return list(source)
 
 
 def _total(sources: list[Source]) -> int | None:
-    """Return the bytes of all files, None where that is not known."""
+    """Return the bytes of all files, None if that is not known."""
     total = 0
     for source in sources:
         with contextlib.ExitStack() as opened:
@@ -512,7 +557,7 @@ def _total(sources: list[Source]) -> int | None:
 
 
 def _is_cheap(source: Source) -> bool:
-    """Return whether a file can be opened once more, only to ask for its size."""
+    """Return whether a file may be opened one more time, only to measure it."""
     return not isinstance(source, (str, os.PathLike)) or Path(source).is_file()
 
 
@@ -532,13 +577,25 @@ def read(
 
     Parameters
     ----------
-    source, protocol, format, ts_unit, threads, bus, as_is
-        As for `blocks`.
+    source : str, path-like, binary file, or list of these
+        The file to read, or several as one stream, as for `blocks`.
+    protocol : str, optional
+        Protocol of raw bytes: a name of `protocols()`, or "auto", as for `blocks`.
+    format : str, optional
+        "raw", "pcapng", "candump", "csv" or "npy"; by default as for `blocks`.
+    ts_unit : str, optional
+        Unit of the device's timestamps in raw bytes: "s", "ms", "us" or "ns"; "ms" by default.
     offsets : array of int64 or uint64, shape (n,), optional
-        For one file of raw bytes or one recording: is filled with the stream offsets of the
-        frames.
-    sort : bool
-        Order all frames by their time; those without one come first.
+        For one file of raw bytes or one recording: filled with the stream offsets of the frames,
+        in bytes. It needs room for all frames.
+    threads : int, optional
+        Number of threads that may decode a regular file of raw bytes; 1 by default.
+    bus : str, optional
+        Channel to read from a log of several buses, such as "can0"; all channels by default.
+    sort : bool, optional
+        Order all frames by their times; first those without a time. False by default.
+    as_is : bool, optional
+        Read the bytes in the protocol given, whatever they look like, as for `blocks`.
 
     Returns
     -------
@@ -548,17 +605,32 @@ def read(
     Warns
     -----
     CanserWarning
-        As `blocks`; and for what a file holds and the frames do not, what a recording has lost,
-        and where it is damaged.
+        As for `blocks`; also for what a file holds and the frames do not, what a recording has
+        lost, and what is damaged in it.
+
+    Raises
+    ------
+    ValueError
+        As for `blocks`; `offsets` has no room for all frames, or is given for several files or
+        with `sort`.
+    FormatError
+        As for `blocks`; so are NoProtocolError, WrongProtocolError, TypeError and OSError.
 
     See Also
     --------
-    blocks : for files larger than memory, and for the counters; errors as there.
+    blocks : for files larger than memory, and for the counters.
 
     Examples
     --------
-    >>> frames = canser.read("run.bin", "seeed")
-    >>> frames = canser.read(["monday.log", "tuesday.log"])
+    >>> frames = canser.frames("123#01", "456#0203")
+    >>> frames["ts"] = [0, 1_000_000]
+    >>> written = canser.write(frames, "run.bin", "serial")
+    >>> canser.read("run.bin", "serial")["id"]
+    array([ 291, 1110], dtype=uint32)
+    >>> frames["ts"] += 10_000_000
+    >>> written = canser.write(frames, "next.log")
+    >>> len(canser.read(["run.bin", "next.log"], "serial"))
+    4
     """
     options = _checked(
         format,

@@ -1,7 +1,7 @@
-"""Recordings of an adapter's line: raw bytes with the times when they came, in pcapng files.
+"""Recordings of an adapter's line: raw bytes with their arrival times, in pcapng files.
 
-A recording knows its protocol and the unit of the device's clock. Its frames have host times,
-epoch nanoseconds.
+A recording names its protocol and the unit of the device's clock. Its frames have times of the
+host's clock, in nanoseconds since 1970.
 """
 
 from collections.abc import Callable, Iterator
@@ -34,13 +34,14 @@ about: Final = "a recording"
 
 cannot_hold: Final = ("what the protocol has no place for", "times to less than 2 ms")
 
-# Times that were known may be off by so much in a file that is written: it grows by 72 bytes
-# wherever frames come more irregularly. The clock of `serial` adds a tick of its own.
+# The largest error of a known time in a recording that is written from frames. Frames that come
+# more irregularly than this start a new block, which adds 72 bytes to the file. The clock of
+# `serial` adds an error of one tick.
 _TIME_ERROR_NS: Final = 500_000
 
 
 def sniff(head: bytes) -> bool:
-    """Return whether these are the first bytes of a pcapng file."""
+    """Return whether a file starts as a pcapng file does."""
     return is_recording(head)
 
 
@@ -50,15 +51,15 @@ def read(source: Input, options: ReadOptions) -> "RecordingReader":
     Raises
     ------
     RecordingError
-        For pcapng that is none of canser's.
+        The pcapng file was not written by canser.
     WrongProtocolError
-        For another protocol than the recording's own.
+        The recording has another protocol than the one given.
     """
     return RecordingReader(source, options)
 
 
 class RecordingReader(Reader):
-    """Reads a recording in its own protocol; with `as_is` in any."""
+    """Reads a recording in its own protocol; with `as_is` in the one given."""
 
     decoder: Decoder
     recording: RecordingInfo
@@ -82,24 +83,24 @@ class RecordingReader(Reader):
         self.decoder, self.recording = self._recorded.decoder, self._recorded.info
 
     def blocks(self, ends: Callable[[], bool]) -> Iterator[FrameArray]:  # noqa: ARG002
-        """Yield the frames, block by block; a packet that the end has cut is never whole."""
+        """Yield the frames, block by block. A packet that the end cuts off is not completed."""
         for out, count in self._recorded.run(self._room):
             self.bytes_done = self._recorded.bytes_done
             yield out[:count]
         self.bytes_done = self._recorded.bytes_done
 
     def line_bytes(self) -> Iterator[memoryview]:
-        """Yield the bytes of the line as they were recorded; nothing is decoded."""
+        """Yield the bytes of the line as they were recorded, without decoding them."""
         return self._recorded.line_bytes()
 
     @property
     def remarks(self) -> list[str]:
-        """What is damaged, and what is lost."""
+        """Remarks on what is damaged and what is lost."""
         return self._recorded.remarks
 
     @property
     def doubt(self) -> str:
-        """Why the bytes so far are not of the protocol they are read in; "" if they may be."""
+        """Why the bytes so far are not of the protocol that they are read in; "" if they may be."""
         if self._ended_doubt is not None:
             return self._ended_doubt
         decoder, head = self.decoder, self._recorded.head
@@ -108,7 +109,7 @@ class RecordingReader(Reader):
         )
 
     def close(self) -> None:
-        """Judge the bytes, and let go of the memory that reading took."""
+        """End the reading: keep the `doubt`, and release the memory that reading took."""
         if self._ended_doubt is None:
             self._ended_doubt = self.doubt
             self._recorded.release()
@@ -126,8 +127,8 @@ class RecordingReader(Reader):
 
         def room() -> tuple[FrameArray, Offsets]:
             if array.room < BLOCK_FRAMES:
-                # The frames so far tell how many there will be; where the size is not known of
-                # the file, or the rest is denser than they were, this happens again.
+                # Estimate the number of frames from those so far. This happens again if the size
+                # of the file is not known, or if later bytes have more frames.
                 done = recorded.decoder.position
                 expected = int(array.count * (source.total or 2 * done) / done * 1.02)
                 array.grow(max(expected, array.count) + BLOCK_FRAMES)
@@ -152,10 +153,10 @@ def write(file: BinaryIO, options: WriteOptions) -> "RecordingFile":
 
 
 class RecordingFile:
-    """Writes frames as a recording of a line on which each came at its time.
+    """Writes frames as a recording of a line on which each frame arrived at its time.
 
-    Frames that the protocol cannot carry are left out; with `strict` they are a ValueError. A
-    frame without a time comes right behind the one before it.
+    Frames that the protocol cannot carry are left out; with `strict` they raise ValueError. A
+    frame without a time gets the time of the frame before it.
     """
 
     def __init__(self, file: BinaryIO, options: WriteOptions) -> None:
@@ -180,7 +181,7 @@ class RecordingFile:
             self._untimed += int(unknown.sum())
             kept = copy_records(kept)
             times = kept["ts"]
-            # The time before each: the places of the known ones, the highest so far.
+            # For each frame the index of the last known time up to it, -1 if there is none.
             known = np.maximum.accumulate(np.where(unknown, -1, np.arange(len(times))))
             times[unknown] = np.where(known < 0, self._last_ns, times[known])[unknown]
         early = int((times < 0).sum())
@@ -199,7 +200,7 @@ class RecordingFile:
         self.bytes_out += len(raw)
 
     def finish(self) -> list[str]:
-        """Write the end; return what the recording does not hold."""
+        """Write the end; return remarks on what the recording does not hold."""
         self._writer.close()
         name, refusals = self._protocol.name, self._refusals
         if refusals.left_out and not self.frames:
@@ -210,7 +211,7 @@ class RecordingFile:
         remarks = [str(refusals)] if refusals.left_out else []
         if self._untimed:
             remarks.append(
-                f"frames without a time, put right behind those before them: {self._untimed:,}"
+                f"frames without a time, which get that of the frame before: {self._untimed:,}"
             )
         if self._early:
             remarks.append(f"frames with a time before 1970, written as 0: {self._early:,}")
@@ -218,7 +219,7 @@ class RecordingFile:
 
 
 def open_writer(file: BinaryIO, options: WriteOptions) -> RecordingWriter:
-    """Return a writer of bytes that were not recorded from a port."""
+    """Return a recording's writer, for bytes that do not come from a port."""
     assert options.protocol is not None
     protocol = find_protocol(options.protocol)
     info = RecordingInfo(protocol.name, protocol.baudrate, None, options.ts_unit, "a file")

@@ -1,4 +1,4 @@
-"""Which frames of a stream are wanted: by time, by filter, by number; and from when they count."""
+"""Select frames of a stream by filter, time and number, and move their times to an epoch."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -13,40 +13,34 @@ __all__ = ["Moment", "Selection"]
 class Moment(NamedTuple):
     """A time in a stream."""
 
+    #: Nanoseconds.
     ns: int
-    #: Whether it counts from the first frame that has a time, and not from 1970.
+    #: Whether `ns` counts from the first frame that has a time, and not from 1970.
     from_first: bool
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Selection:
-    """The frames that are wanted; all by default.
+    """The frames to select; all by default."""
 
-    Attributes
-    ----------
-    filters : tuple of str
-        As `canser.match` takes them: frames that pass any of them.
-    start, end : Moment or None
-        Frames from `start` on, and before `end`. A frame without a time passes neither.
-    count : int or None
-        The first frames that pass the rest, so many at most.
-    epoch_ns : int or None
-        When the first frame came, in nanoseconds since 1970. All times are moved by as much.
-    """
-
+    #: Filters of `canser.match`. A frame is selected if it passes any of them.
     filters: tuple[str, ...] = ()
+    #: Select frames from this time on. A frame without a time is not selected.
     start: Moment | None = None
+    #: Select frames before this time. A frame without a time is not selected.
     end: Moment | None = None
+    #: The most frames to select, of those that pass the other conditions.
     count: int | None = None
+    #: Time of the first frame in nanoseconds since 1970. All times are moved by the same amount.
     epoch_ns: int | None = None
 
     @property
     def is_all(self) -> bool:
-        """Whether all frames are wanted as they are."""
+        """Whether all frames are selected, and no times are moved."""
         return self == Selection()
 
     def apply(self, blocks: Iterable[FrameArray]) -> Iterator[FrameArray]:
-        """Yield the frames that are wanted; FormatError for an epoch where times have one."""
+        """Yield the selected frames; FormatError if times to move already count from 1970."""
         left, first_ns = self.count, None
         for block in blocks:
             frames, ts = block, block["ts"]

@@ -1,4 +1,4 @@
-"""What writing frames takes, whatever the format."""
+"""Writers: the options of writing, and the interface of all formats."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -12,11 +12,11 @@ __all__ = ["WriteOptions", "Writer"]
 class WriteOptions:
     """How a file is to be written."""
 
-    #: Of raw bytes and of a recording; None for formats that hold frames.
+    #: Protocol of raw bytes and of a recording; None for formats that hold frames.
     protocol: str | None = None
     #: Unit of the device's timestamps in raw bytes.
     ts_unit: str = "ms"
-    #: Whether frames that the protocol cannot carry are refused, and not left out.
+    #: Whether frames that the protocol cannot carry are an error; otherwise they are left out.
     strict: bool = False
 
 

@@ -1,4 +1,4 @@
-"""Frames into a file of any format, and files into files."""
+"""Write frames to a file of any format, and convert files."""
 
 import dataclasses
 import os
@@ -25,7 +25,7 @@ from canser.files.writer import WriteOptions
 
 __all__ = ["Converted", "choose_target", "convert", "convert_opened", "write"]
 
-# Formats that hold the bytes of a line.
+# Formats that hold the bytes of a serial line.
 BYTES = (RAW, PCAPNG)
 
 _EVERYTHING = Selection()
@@ -33,30 +33,22 @@ _EVERYTHING = Selection()
 
 @dataclass(slots=True)
 class Converted:
-    """What has become of frames that were written.
+    """What is in a file that was written; returned by `write` and `convert`."""
 
-    Attributes
-    ----------
-    frames : int
-        Frames that are in the file.
-    bytes_out : int
-        Bytes of a line that are in the file; 0 for a format that holds frames.
-    remarks : list of str
-        What the file could not hold.
-    copied : bool
-        Whether the bytes of a recording were copied, and no frame was decoded.
-    """
-
+    #: Number of frames in the file; 0 if `copied`.
     frames: int = 0
+    #: Bytes of a serial line in the file; 0 for a format that holds frames.
     bytes_out: int = 0
+    #: What the file could not hold, a line each.
     remarks: list[str] = field(default_factory=list)
+    #: Whether the bytes of a recording were copied, without decoding a frame.
     copied: bool = False
 
 
 def choose_target(path: str, given: str | None) -> str:
     """Return the format of a file to write: the given one, or that of its name.
 
-    ValueError where neither tells, and for a format that is only read.
+    ValueError if neither names one, and for a format that canser only reads.
     """
     chosen = given or format_of_name(path)
     if chosen is None:
@@ -71,14 +63,15 @@ def choose_target(path: str, given: str | None) -> str:
 
 
 def check_target(chosen: str, protocol: str | None, source: str = "") -> None:
-    """Raise ValueError for raw bytes or a recording of which no protocol is known, and for two.
+    """Raise ValueError if bytes of a line are to be written and their protocol is not known.
 
-    `source`: the format that is read, if it is known.
+    Also if they are to be written in their own format. `source`: the format that is read, ""
+    if it is not known.
     """
     if chosen in BYTES and chosen == source:
         raise ValueError(
-            f"IN and OUT are both {find_format(chosen).about}; convert to another format, such as "
-            ".log, and from there to another protocol"
+            f"input and output are both {find_format(chosen).about}; convert to another format, "
+            "such as .log, and from there to another protocol"
         )
     if chosen in BYTES and source not in BYTES and (protocol is None or is_auto(protocol)):
         raise ValueError(
@@ -88,10 +81,10 @@ def check_target(chosen: str, protocol: str | None, source: str = "") -> None:
 
 
 def open_to_convert(source: Sources, options: ReadOptions, **more: Any) -> Blocks:
-    """Open files of which the protocol that is given may be that of the file to write.
+    """Open files to convert. The given protocol may be that of the file to write.
 
-    A recording has a protocol of its own. WrongProtocolError where another one is given, unless
-    `options.as_is` reads it in that.
+    A recording has a protocol of its own. WrongProtocolError if another one is given, unless
+    `options.as_is` reads the recording in that one.
     """
     blocks = Blocks(source, dataclasses.replace(options, raw_only=True), **more)
     info, given = blocks.recording, options.protocol
@@ -111,24 +104,25 @@ def write(
     strict: bool = False,
     force: bool = False,
 ) -> Converted:
-    """Write frames into a file.
+    """Write frames to a file.
 
     Parameters
     ----------
-    frames : array of FRAME_DTYPE, shape (n,), or an iterable of these
-        The frames; an iterable, such as `canser.blocks`, is written block by block.
-    path : path
-        The file. It gets its name when it is complete.
+    frames : array of FRAME_DTYPE, shape (n,), or iterable of these
+        The frames. An iterable, such as `canser.blocks`, is written block by block.
+    path : str or path-like
+        The file to write. It gets this name when it is complete.
     protocol : str, optional
-        Of raw bytes and of a recording, a name of `protocols()`.
+        Protocol of raw bytes or of a recording: a name of `protocols()`. Other formats need none.
     format : str, optional
-        A format as `blocks` names them; by default that of the file's name.
-    ts_unit : str
-        Unit of the device's timestamps in raw bytes, "s", "ms", "us" or "ns".
-    strict : bool
-        Refuse frames that the protocol cannot carry. By default they are left out, and counted.
-    force : bool
-        Replace a file that is there.
+        "raw", "pcapng" (a recording), "candump", "csv", "npy", or a format that another package
+        adds. By default the suffix of the file's name decides.
+    ts_unit : str, optional
+        Unit of the device's timestamps in raw bytes: "s", "ms", "us" or "ns"; "ms" by default.
+    strict : bool, optional
+        Refuse frames that the protocol cannot carry. By default they are left out and counted.
+    force : bool, optional
+        Replace an existing file. False by default.
 
     Returns
     -------
@@ -138,20 +132,32 @@ def write(
     Warns
     -----
     CanserWarning
-        For what the file could not hold.
+        The file could not hold all of the frames or of their fields.
 
     Raises
     ------
     OutputExistsError
-        A FileExistsError, for a file that is there.
+        A FileExistsError: the file exists, and `force` is False.
     ValueError
-        For a format that is not known, raw bytes without a protocol, and with `strict` for
-        frames that the protocol cannot carry.
+        The format is not known or is only read, raw bytes or a recording have no protocol, or
+        with `strict` the protocol cannot carry a frame.
+    FormatError
+        The protocol can carry none of the frames.
+    TypeError
+        `frames` are no arrays of FRAME_DTYPE in one dimension.
+    OSError
+        The file cannot be written.
 
     Examples
     --------
-    >>> canser.write(frames, "run.log")
-    >>> canser.write(canser.blocks("run.pcapng"), "run.csv", force=True)
+    >>> frames = canser.frames("123#01", "456#0203")
+    >>> frames["ts"] = [0, 1_000_000]
+    >>> canser.write(frames, "run.log").frames
+    2
+    >>> canser.write(frames, "run.pcapng", "serial").bytes_out
+    25
+    >>> canser.write(canser.blocks("run.log"), "run.csv")
+    Converted(frames=2, bytes_out=0, remarks=[], copied=False)
     """
     name = os.fsdecode(path)
     chosen = choose_target(name, format)
@@ -186,20 +192,34 @@ def convert(
     force: bool = False,
     as_is: bool = False,
 ) -> Converted:
-    """Convert files into one file, in bounded memory.
+    """Convert one file or several into one file.
 
-    A recording becomes raw bytes, and raw bytes become a recording, byte by byte.
+    Memory is bounded, unless frames are sorted. A recording becomes raw bytes, and raw bytes
+    become a recording, without a change to their bytes.
 
     Parameters
     ----------
-    source, format, sort, as_is
-        As for `blocks`.
-    target, strict, force
-        As `path`, `strict` and `force` of `write`.
-    protocol, ts_unit : str, optional
-        Of raw bytes: of those that are read, or of those that are written.
+    source : str, path-like, binary file, or list of these
+        The file to read, or several as one stream, as for `blocks`.
+    target : str or path-like
+        The file to write. It gets this name when it is complete.
+    protocol : str, optional
+        Protocol of raw bytes: of those that are read, or of those that are written.
+    format : str, optional
+        Format of `source`; by default as for `blocks`.
     to : str, optional
-        The format of `target`; by default that of its name.
+        Format of `target`; by default the suffix of its name decides.
+    ts_unit : str, optional
+        Unit of the device's timestamps in raw bytes, read or written: "s", "ms", "us" or "ns";
+        "ms" by default.
+    sort : bool, optional
+        Order all frames by their times, as for `read`. False by default.
+    strict : bool, optional
+        Refuse frames that the protocol cannot carry. By default they are left out and counted.
+    force : bool, optional
+        Replace an existing file. False by default.
+    as_is : bool, optional
+        Read the bytes in the protocol given, whatever they look like, as for `blocks`.
 
     Returns
     -------
@@ -209,19 +229,29 @@ def convert(
     Warns
     -----
     CanserWarning
-        As `read` and `write`.
+        As for `read` and `write`.
 
     Raises
     ------
     OutputExistsError
-        A FileExistsError, for a target that is there, or that is one of the sources.
-    ValueError, FormatError, OSError
-        As `read` and `write`.
+        A FileExistsError: the target exists and `force` is False, or it is one of the sources.
+    FormatError
+        As for `read` and `write`; also if the bytes are not of their protocol, unless `as_is`.
+    ValueError
+        As for `read` and `write`; also if raw bytes would become raw bytes, or a recording a
+        recording.
+    OSError
+        A file cannot be read or written.
 
     Examples
     --------
-    >>> canser.convert("run.pcapng", "run.log")
-    >>> canser.convert(["a.log", "b.log"], "both.bin", "serial")
+    >>> frames = canser.frames("123#01", "456#0203")
+    >>> frames["ts"] = [0, 1_000_000]
+    >>> recorded = canser.write(frames, "run.pcapng", "serial")
+    >>> canser.convert("run.pcapng", "run.bin").bytes_out
+    25
+    >>> canser.convert("run.bin", "run.csv", "serial").frames
+    2
     """
     check_protocol(protocol, ts_unit)
     name = os.fsdecode(target)
@@ -254,9 +284,9 @@ def convert_opened(
 ) -> Converted:
     """Write the frames of opened files to a file in a format.
 
-    Where all frames of one file are wanted, and both formats have the bytes of a line, these
-    are copied. Else the protocol of bytes that are written is that of the bytes that are read,
-    if `options` have none.
+    If all frames of one file are selected, and both formats hold the bytes of a line, the bytes
+    are copied. Otherwise, if `options` have no protocol, bytes are written in the protocol of the
+    bytes that are read.
     """
     if selection.is_all and len(blocks.sources) == 1 and blocks.format in BYTES and to in BYTES:
         return _copy_bytes(blocks, file, options)
@@ -285,7 +315,7 @@ def _write_all(
 
 
 def _copy_bytes(blocks: Blocks, file: BinaryIO, options: WriteOptions) -> Converted:
-    """Copy the bytes of a line from a recording, or into one."""
+    """Copy the bytes of a line out of a recording, or into one."""
     done = Converted()
     reader = blocks.reader
     if isinstance(reader, RecordingReader):

@@ -1,1 +1,1 @@
-"""Private: recordings of raw bytes with their times: written, read, repaired."""
+"""Private: write, read and repair recordings, which are raw bytes with their times."""

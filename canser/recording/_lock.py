@@ -1,4 +1,4 @@
-"""A lock that keeps two recorders off one file; readers go on."""
+"""A lock that prevents two recorders from writing one file. It does not hinder readers."""
 
 import errno
 import os
@@ -11,30 +11,31 @@ if sys.platform != "win32":
 
 __all__ = ["is_locked", "lock"]
 
-# A lock of Windows keeps others off the bytes that it is about, and so it is about one that no
-# file has: at 4 EiB. (msvcrt.locking ends at 2 GiB, which a recording may have.)
+# On Windows, a lock denies other programs the locked bytes. So the lock is on one byte at 4 EiB,
+# which no file has. This is the high word of that offset. (msvcrt.locking reaches only 2 GiB, and
+# a recording may be larger.)
 _HIGH_WORD: Final = 1 << 30
-_LOCK_VIOLATION: Final = 33  # winerror.h
+_LOCK_VIOLATION: Final = 33  # ERROR_LOCK_VIOLATION of winerror.h
 
-# What flock says where another one has the lock; some network drives say EACCES.
+# Errors of flock if another program has the lock. EACCES comes from some network drives.
 _TAKEN: Final = {errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES}
 
 
 def lock(fd: int) -> bool:
-    """Lock an open file until it is closed; return False where another one has it locked.
+    """Lock an open file until it is closed; return False if another program has locked it.
 
-    True on a file system that knows no locks, too.
+    Also returns True on a file system that has no locks.
     """
     return _lock(fd)
 
 
 def is_locked(path: Path) -> bool:
-    """Return whether another one has a file locked; False if there is none.
+    """Return whether another program has locked a file; False if there is no file.
 
     OSError for a file that may not be read.
     """
     try:
-        # Without O_NONBLOCK the opening of a named pipe waits for its writer.
+        # O_NONBLOCK: otherwise opening a named pipe waits for its writer.
         fd = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     except (FileNotFoundError, NotADirectoryError):
         return False
@@ -47,7 +48,7 @@ def is_locked(path: Path) -> bool:
 if sys.platform == "win32":
 
     def _lock(fd: int) -> bool:
-        import ctypes  # noqa: PLC0415 - these are there on Windows only
+        import ctypes  # noqa: PLC0415 - these modules exist on Windows only
         import msvcrt  # noqa: PLC0415
 
         kernel = ctypes.WinDLL("kernel32", use_last_error=True)

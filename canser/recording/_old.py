@@ -1,4 +1,4 @@
-"""An old file whose name a new recording takes: it is there until the new one holds something."""
+"""Set aside the old file whose name a new recording takes, until the new one holds bytes."""
 
 import os
 from pathlib import Path
@@ -24,13 +24,13 @@ def check_replaceable(path: Path) -> None:
     old = _old_name(path)
     if os.path.lexists(old):
         raise OutputExistsError(
-            f"{old} is there already, as a run leaves it that was killed before it had recorded "
-            "anything; move it away, or delete it"
+            f"{old} is there already: an earlier run was killed before it had recorded anything; "
+            "move the file away, or delete it"
         )
 
 
 class OldFile:
-    """A file that was renamed from `name` to NAME.old, `path`.
+    """A file that was renamed from its name, `name`, to that name with .old behind it, `path`.
 
     OutputExistsError for a file that may not be replaced.
     """
@@ -42,11 +42,11 @@ class OldFile:
         path.rename(self.path)
 
     def delete(self) -> None:
-        """Delete it: the new recording holds something."""
+        """Delete the old file, as the new recording holds bytes."""
         self.path.unlink(missing_ok=True)
 
     def put_back(self) -> None:
-        """Give it its name again, instead of a new recording that holds nothing."""
+        """Give the old file its name back. It replaces a new recording that holds no bytes."""
         self.path.replace(self.name)
 
 

@@ -1,15 +1,21 @@
-"""Recordings: the raw bytes of a line with their times, append-only, in pcapng files.
+"""Recordings: the raw bytes of a serial line with their times, append-only, in pcapng files.
 
-One interface, one enhanced packet block for each chunk of bytes. Its time is when the last
-byte of the chunk came; the earlier ones came one after the other at the line's rate. Its
-drop count is the bytes lost right before the chunk; its hash is the CRC32 of the bytes; its id
-is its place in the stream. A chunk without bytes has only lost bytes, or a note, to tell.
+A recording has one interface, and an enhanced packet block for each chunk of bytes:
 
-A file that ends anywhere is good up to its last whole block. What is damaged is left out,
-and told. The standard's hash covers the bytes only: a flipped bit in a time, in a drop count
-or in the interface's description is found where the value is impossible, and else is not.
+- time: the arrival of the chunk's last byte; the bytes before it came at the line's baud rate;
+- drop count: the bytes that are lost right before the chunk;
+- hash: the CRC32 of the bytes;
+- packet id: the place of the chunk in the stream (see `canser.recording.ids`);
+- comments: notes.
 
-Here are the blocks that start a recording, written and read: what it says of its line.
+A chunk without bytes carries lost bytes at the end of a stream, or a note.
+
+If a file is cut off, its blocks before the cut are valid. Damaged parts are left out and
+reported. The hash of pcapng covers the bytes only: a flipped bit in a time, in a drop count or in
+the interface's description is found only if the value becomes impossible.
+
+Format: draft-ietf-opsawg-pcapng. This module writes and reads the blocks that start a recording.
+They describe the line.
 """
 
 import re
@@ -32,20 +38,20 @@ __all__ = [
     "starts_recording",
 ]
 
-# LINKTYPE_USER0: for private use, so no program takes the bytes for network packets.
+# LINKTYPE_USER0, for private use: no program takes the bytes for network packets.
 _LINK_TYPE: Final = 147
 
-# Options of the blocks, as the standard numbers them.
+# Codes of options, from the pcapng draft: of the section header, and of the interface.
 _OS, _APPLICATION = 3, 4
 _NAME, _DESCRIPTION, _SPEED, _RESOLUTION = 2, 3, 8, 9
 
-_NANOSECONDS: Final = b"\x09"  # a resolution: 10 to the power of -9 seconds
+_NANOSECONDS: Final = b"\x09"  # the resolution of times: 10 to the power of -9 seconds
 
-# The first word of an interface's description; `name=value` follow.
+# The first word of an interface's description; words `name=value` follow.
 _SIGN: Final = "canser:"
 
-_INTERFACE_OPTIONS: Final = 16  # where they begin
-_INTERFACE_MIN: Final = 20
+_INTERFACE_OPTIONS: Final = 16  # offset of the options in an interface block, in bytes
+_INTERFACE_MIN: Final = 20  # the shortest interface block, in bytes: one without options
 
 _ABOUT: Final = (
     "The raw bytes of a serial line, not packets. The time of a block is when its last byte "
@@ -55,43 +61,48 @@ _ABOUT: Final = (
 
 @dataclass(frozen=True, slots=True)
 class RecordingInfo:
-    """What a recording knows of its line."""
+    """The serial line that a recording is of; given by `Blocks.recording` and `info`."""
 
+    #: Name of the protocol, as in `protocols()`.
     protocol: str
+    #: Rate of the serial line, in baud.
     baudrate: int
-    bitrate: int | None  # of the CAN bus; None if not known
-    ts_unit: str  # of the device's timestamps
+    #: Rate of the CAN bus, in bit/s; None if not known.
+    bitrate: int | None
+    #: Unit of the device's timestamps: "s", "ms", "us" or "ns".
+    ts_unit: str
+    #: Name of the device or port that the bytes came from.
     device: str
 
     @property
     def byte_ns(self) -> float:
-        """The time of a byte on the line: start bit, 8 bits, stop bit."""
+        """Duration of a byte on the line, in nanoseconds: start bit, 8 data bits, stop bit."""
         return 10e9 / self.baudrate
 
 
 def is_recording(head: bytes) -> bool:
-    """Return whether these first bytes of a file, 12 are enough, are a recording's."""
+    """Return whether a file starts with a pcapng section, as recordings do; 12 bytes are enough."""
     return pcapng.is_pcapng(head)
 
 
 def starts_recording(source: Input) -> bool:
-    """Return whether a file starts a recording.
+    """Return whether a file starts as a recording does.
 
-    Of a pipe no more is waited for than it takes to tell.
+    Waits for as few bytes of a pipe as the answer needs.
     """
     likely = all(source.at(0, length) == pcapng.SECTION_MARK[:length] for length in (1, 4))
     return likely and is_recording(bytes(source.at(0, 12)))
 
 
 def make_header(info: RecordingInfo, base: int) -> bytes:
-    """Return the blocks that start a recording; `base`: of the ids of its blocks."""
-    # Imported where they are used: they take 20 ms, and readers need neither.
+    """Return the blocks that start a recording. `base`: the base of the packet ids."""
+    # Imported here: they take 20 ms to import, and readers need neither.
     import platform  # noqa: PLC0415
     from importlib.metadata import version  # noqa: PLC0415
 
     section = pcapng.block(
         pcapng.SECTION,
-        # Version 1.0; how long the section gets is not known.
+        # Version 1.0. The length of the section is not known yet: -1.
         struct.pack("<IHHq", pcapng.MAGIC, 1, 0, -1),
         [
             (pcapng.COMMENT, _ABOUT.encode()),
@@ -109,7 +120,7 @@ def make_header(info: RecordingInfo, base: int) -> bytes:
     words = [f"{name}={value}" for name, value in facts.items() if value is not None]
     interface = pcapng.block(
         pcapng.INTERFACE,
-        struct.pack("<HHI", _LINK_TYPE, 0, 0),  # 0: packets are never cut short
+        struct.pack("<HHI", _LINK_TYPE, 0, 0),  # snap length 0: packets are never cut short
         [
             (_NAME, info.device.encode("utf-8", "surrogateescape")),
             (_DESCRIPTION, " ".join([_SIGN, *words]).encode()),
@@ -120,26 +131,27 @@ def make_header(info: RecordingInfo, base: int) -> bytes:
     return section + interface
 
 
-# The longest mark of a block by which a search finds it.
+# The longest pattern that a search for blocks uses, in bytes: that of `interface_mark`.
 MARK_MAX: Final = 10
 
 
 def interface_mark(order: Order) -> bytes:
-    """Return the pattern of an interface's first bytes: the type, any length, the kind of link."""
+    """Return a regular expression for the start of an interface: type, any length, link type."""
     kind, link = struct.pack(f"{order}I", pcapng.INTERFACE), struct.pack(f"{order}H", _LINK_TYPE)
     return re.escape(kind) + b"...." + re.escape(link)
 
 
 def _base_word(base: int) -> str:
-    """Return a base as it is written, with the CRC32 of its digits: all ids depend on it."""
+    """Return a base as text, with the CRC32 of its digits, because all ids depend on the base."""
     digits = f"{base:016x}"
     return f"{digits}{zlib.crc32(digits.encode()):08x}"
 
 
 def read_interface(whole: memoryview, order: Order) -> tuple[RecordingInfo, int | None] | None:
-    """Return what an interface block tells of a line, None if it is none of ours.
+    """Return the line that an interface block describes, and the base of the packet ids.
 
-    And the base of the blocks' ids, None if they have none or it is damaged.
+    None if canser did not write the block. The base is None if the blocks have no ids, or if it
+    is damaged.
     """
     if len(whole) < _INTERFACE_MIN or pcapng.u16(whole, 8, order) != _LINK_TYPE:
         return None

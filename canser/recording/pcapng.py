@@ -1,9 +1,9 @@
-"""The blocks of a pcapng file, built and read; what they mean to canser is not known here.
+"""Build and read the blocks of a pcapng file; their meaning for recordings is not known here.
 
-    type u32 | total length u32 | body, padded to 4 | total length u32
+    type u32 | total length u32 | body, padded to 4 bytes | total length u32
 
-A body may end in options, each `code u16 | length u16 | value, padded to 4`, the last of
-code 0. All numbers are in the byte order that the section header tells.
+A body may end in options, each `code u16 | length u16 | value, padded to 4 bytes`; the last has
+the code 0. All numbers are in the byte order of the section, which its header shows.
 
 Source: draft-ietf-opsawg-pcapng, "PCAP Next Generation (pcapng) Capture File Format".
 """
@@ -36,10 +36,10 @@ __all__ = [
     "with_dropcount",
 ]
 
-# struct's signs of the byte order of a section.
+# The byte order of a section, as the first character of struct's formats.
 Order = Literal["<", ">"]
 
-# Block types. The first reads the same in both byte orders.
+# Block types. That of a section reads the same in both byte orders.
 SECTION: Final = 0x0A0D0D0A
 INTERFACE: Final = 1
 STATISTICS: Final = 5
@@ -52,55 +52,56 @@ _MAGICS: Final[dict[bytes, Order]] = {
     struct.pack(">I", MAGIC): ">",
 }
 
-# A block without a body; and the most that readers put up with, as Wireshark's do.
+# The length of a block without a body, and the longest block that is read, in bytes. Wireshark has
+# the same limit.
 LENGTH_MIN: Final = 12
 LENGTH_MAX: Final = 1 << 24
 
-# Options of an enhanced packet block; the first one of any block.
+# Codes of options: of any block, and of an enhanced packet block.
 COMMENT: Final = 1
 _HASH, _DROPCOUNT, _PACKET_ID = 3, 4, 5
-_CRC32: Final = 2  # the hash's algorithm, its first byte
+_CRC32: Final = 2  # the algorithm of a hash, in its first byte
 
-# The drop count of a gap of unknown length.
+# The drop count for a gap of unknown length. This is canser's own rule.
 UNKNOWN: Final = (1 << 64) - 1
 
-# Type, length, interface, time high and low, captured and original length.
+# Fields: type, length, interface, time (high, low), captured length, original length.
 _ENHANCED_HEAD: Final = {order: struct.Struct(f"{order}7I") for order in ("<", ">")}
 _OPTION: Final = {order: struct.Struct(f"{order}HH") for order in ("<", ">")}
 _U16: Final = {order: struct.Struct(f"{order}H") for order in ("<", ">")}
 _U32: Final = {order: struct.Struct(f"{order}I") for order in ("<", ">")}
 _U64: Final = {order: struct.Struct(f"{order}Q") for order in ("<", ">")}
 
-# The options of a block: code, length, algorithm, CRC32; code, length, number.
+# Fields of options: code, length, algorithm, CRC32, padding; and code, length, number.
 _HASH_OPTION: Final = struct.Struct("<HHBI3x")
 _NUMBER_OPTION: Final = struct.Struct("<HHQ")
 
-#: What stands before the data of an enhanced packet block, in bytes.
+#: Bytes before the data of an enhanced packet block.
 ENHANCED_HEAD_LEN: Final = 28
 
 
 def is_pcapng(head: bytes) -> bool:
-    """Return whether bytes, 12 are enough, start a section of pcapng."""
+    """Return whether bytes start a section of pcapng; 12 bytes are enough."""
     return head[:4] == SECTION_MARK and bytes(head[8:12]) in _MAGICS
 
 
 def section_order(head: bytes | memoryview) -> Order | None:
-    """Return the byte order of a section by its first 12 bytes, None if it is none."""
+    """Return the byte order of a section from its first 12 bytes, None if there is no section."""
     return _MAGICS.get(bytes(head[8:12])) if head[:4] == SECTION_MARK else None
 
 
 def u16(data: memoryview, at: int, order: Order) -> int:
-    """Return the number there."""
+    """Return the number of 16 bits at an offset."""
     return _U16[order].unpack_from(data, at)[0]  # type: ignore[no-any-return]
 
 
 def u32(data: memoryview, at: int, order: Order) -> int:
-    """Return the number there."""
+    """Return the number of 32 bits at an offset."""
     return _U32[order].unpack_from(data, at)[0]  # type: ignore[no-any-return]
 
 
 def _options(options: Iterable[tuple[int, bytes]], order: Order = "<") -> bytes:
-    """Return options, and their end."""
+    """Return options, with the one that ends them."""
     parts = []
     for code, value in options:
         parts += [_OPTION[order].pack(code, len(value)), value, bytes(-len(value) % 4)]
@@ -108,7 +109,7 @@ def _options(options: Iterable[tuple[int, bytes]], order: Order = "<") -> bytes:
 
 
 def block(kind: int, fixed: bytes, options: Iterable[tuple[int, bytes]]) -> bytes:
-    """Return a block: its fixed fields, a multiple of 4 bytes, and its options."""
+    """Return a block of fixed fields, a multiple of 4 bytes, and options."""
     body = fixed + _options(options)
     length = struct.pack("<I", len(body) + LENGTH_MIN)
     return struct.pack("<I", kind) + length + body + length
@@ -123,9 +124,9 @@ def enhanced(
     packet_id: int,
     comments: Iterable[bytes],
 ) -> tuple[bytes, bytes]:
-    """Return what stands before the data of a packet of interface 0, and what behind it.
+    """Return what stands before and behind the data of a packet of interface 0.
 
-    A drop count of 0 takes no room.
+    A drop count of 0 is not written.
     """
     tail = bytes(-data_len % 4) + _HASH_OPTION.pack(_HASH, 5, _CRC32, crc32)
     if dropped:
@@ -148,13 +149,13 @@ def with_dropcount(whole: memoryview, order: Order, dropped: int) -> bytes:
         for code, at, length in options(whole, begin, order)
         if code != _DROPCOUNT
     ]
-    told = _options([*kept, (_DROPCOUNT, _U64[order].pack(dropped))], order)
-    length = _U32[order].pack(begin + len(told) + 4)
-    return bytes(whole[:4]) + length + bytes(whole[8:begin]) + told + length
+    written = _options([*kept, (_DROPCOUNT, _U64[order].pack(dropped))], order)
+    length = _U32[order].pack(begin + len(written) + 4)
+    return bytes(whole[:4]) + length + bytes(whole[8:begin]) + written + length
 
 
 class Enhanced(NamedTuple):
-    """An enhanced packet block, read."""
+    """The content of an enhanced packet block."""
 
     interface: int
     ts: int
@@ -166,7 +167,7 @@ class Enhanced(NamedTuple):
 
     @classmethod
     def read(cls, whole: memoryview, order: Order) -> "Enhanced | None":
-        """Read a block whose lengths agree; None if what is inside does not fit."""
+        """Read a block whose two lengths agree; None if its content does not fit into it."""
         end = len(whole) - 4
         if end < ENHANCED_HEAD_LEN:
             return None
@@ -179,7 +180,8 @@ class Enhanced(NamedTuple):
         comments = []
         for code, value_at, length in options(whole, at, order):
             if code == _HASH and length == 5 and whole[value_at] == _CRC32:
-                # In the byte order of the section: the standard is silent.
+                # The pcapng draft does not say the byte order of the CRC32. canser uses that of
+                # the section.
                 (crc32,) = _U32[order].unpack_from(whole, value_at + 1)
             elif code == _DROPCOUNT and length == 8:
                 (dropped,) = _U64[order].unpack_from(whole, value_at)
@@ -192,9 +194,9 @@ class Enhanced(NamedTuple):
 
 
 def options(whole: memoryview, at: int, order: Order) -> list[tuple[int, int, int]]:
-    """Return the options of a block from `at` on: code, where the value is, its length.
+    """Return the options of a block from `at` on: code, offset and length of the value.
 
-    They end with the code 0 or with the block; one that does not fit ends them, too.
+    The code 0 and the end of the block end the options. So does an option that does not fit.
     """
     found = []
     unpack, end = _OPTION[order].unpack_from, len(whole) - 4

@@ -1,4 +1,4 @@
-"""Read recordings: the good blocks of a file, and what is left out between them."""
+"""Read recordings: the valid blocks of a file, and what is left out between them."""
 
 import re
 import struct
@@ -19,32 +19,43 @@ from canser.timing.arrivals import DataBlock, DataRun
 
 __all__ = ["Recording", "Walk"]
 
-# Of a file that is all damage these many remarks are enough.
+# The most remarks on damage, and on notes. Otherwise a badly damaged file would have millions.
 _REMARKS_KEPT: Final = 20
 
-# Where to look for the next good block: this much at a time.
-_SCAN: Final = 1 << 20
+# Bytes that are searched at a time for the next valid block.
+_SCAN_LEN: Final = 1 << 20
 
-_SECTION_MIN: Final = 28
+_SECTION_MIN: Final = 28  # the shortest section header, in bytes: one without options
 
 _NOT_AS_WRITTEN: Final = "the block is not as canser writes it"
 
 
 class Recording(Iterator[DataBlock]):
-    """The blocks of bytes of a recording in order: an iterator; a context manager.
+    """Iterator over the blocks of bytes of a recording, in order; a context manager.
 
-    `source`: a path, or a file open for reading bytes, from where it stands; of any size,
-    in bounded memory; a pipe is read as its bytes come. `.info` tells of the line. The data of
-    a block is a view of the file, with the times of recordings behind one another as they are.
+    `info` describes the line. The data of a block is a view of the file. Memory is bounded.
 
-    What is torn or damaged is left out and named in `.remarks`, and so is what an older
-    recording has left there, or what is there a second time. The block behind it has a gap: of
-    as many bytes as the ids of the blocks tell, in older files of unknown length. A block has no
-    bytes where bytes were lost that no others followed. Notes are remarks.
+    Parts that are cut off or damaged are left out and named in `remarks`. So are blocks that an
+    older recording has left in the file, and blocks that are there a second time. The block behind
+    such a part has a gap. Its length follows from the ids of the blocks; in older files, which have
+    no ids, it is unknown. If bytes were lost and none followed, a block without bytes has the gap.
+    Notes are remarks.
 
-    Recordings of the same line may follow each other in the file; blocks of other kinds and
-    interfaces are skipped. RecordingError if there is no interface of canser's; OSError for a
-    file that cannot be read.
+    Recordings of the same line may follow each other in the file; their times are not changed.
+    Blocks of other kinds and interfaces are skipped.
+
+    Parameters
+    ----------
+    source
+        A path, or a file that is open for reading bytes, which is read from its current position.
+        A pipe is read as its bytes arrive.
+
+    Raises
+    ------
+    RecordingError
+        The file has no interface that canser wrote.
+    OSError
+        The file cannot be read.
     """
 
     def __init__(self, source: Source | Input) -> None:
@@ -65,17 +76,16 @@ class Recording(Iterator[DataBlock]):
         raise StopIteration
 
     def runs(self, room_bytes: int = 1 << 19) -> Iterator[DataRun]:
-        """Yield the bytes of many blocks at once, of those that nothing is unusual about.
+        """Yield runs: the bytes, times and gaps of many blocks at once.
 
-        All others are a run of their own, however long they are. The runs have the bytes, times
-        and gaps of the blocks. Blocks and runs that were given before go bad: their data is good
-        until the next run.
+        A block with a gap, or one that needs a closer check, is a run of its own, of any length.
+        The data of a run, and of earlier blocks, is valid until the next run.
 
         Parameters
         ----------
         room_bytes
-            The most bytes of several blocks in a run. Bytes of a pipe are not waited for to fill
-            it.
+            The most bytes in a run of several blocks. A run does not wait for more bytes of a
+            pipe.
         """
         gatherer = BlockGatherer(room_bytes)
         while True:
@@ -95,7 +105,7 @@ class Recording(Iterator[DataBlock]):
         self.close()
 
     def close(self) -> None:
-        """Close the file, if it was given by its path. Done by itself at the end."""
+        """Close the file, if it was given by its path. This also happens at the end."""
         self._input.close()
 
     @property
@@ -105,29 +115,35 @@ class Recording(Iterator[DataBlock]):
 
     @property
     def bytes_done(self) -> int:
-        """How far in the file it has come."""
+        """Bytes of the file that were read."""
         return self._walk.at
 
     @property
     def bytes_total(self) -> int | None:
-        """The size of the file, None where it is not known."""
+        """The size of the file in bytes, None if it is not known."""
         return self._input.total
 
 
 class WalkedBlock(NamedTuple):
-    """A block that is good, and the piece in it if it is one of ours."""
+    """A valid block of a pcapng file."""
 
+    #: Type of the block, as the pcapng draft numbers it.
     kind: int
+    #: All bytes of the block.
     whole: memoryview
+    #: The bytes of the line in the block; None if it is no block of our interface with packets.
     piece: DataBlock | None = None
-    place: Place | None = None  # by its id, if it has one
-    # Its byte order where a copy must say that an unknown number of bytes is lost.
+    #: The place that the block's id gives it; None if it has no id.
+    place: Place | None = None
+    #: The section's byte order if a copy of the block must say that an unknown number of bytes is
+    #: lost before it, otherwise None.
     unsure_order: Order | None = None
+    #: The notes of the block.
     notes: Sequence[bytes] = ()
 
     @property
     def is_given(self) -> bool:
-        """Whether the piece tells of bytes, and not of a note alone."""
+        """Whether the piece has bytes or lost bytes, and not only a note."""
         return self.piece is not None and (len(self.piece.data) > 0 or self.piece.lost != 0)
 
 
@@ -138,35 +154,35 @@ def _line(note: bytes) -> str:
 
 
 class Walk(Iterator[WalkedBlock]):
-    """The good blocks of a file, in order, and what is left out between them."""
+    """Iterator over the valid blocks of a file, in order; counts what is left out between them."""
 
     def __init__(self, source: Input) -> None:
         self._input = source
         self.at = 0  # the offset behind the last block
         self.info: RecordingInfo | None = None
-        self.left_out = 0
+        self.left_out = 0  # bytes
         self.remarks: list[str] = []
-        self._order: Order | None = None  # of the section; None before the first
-        self._interfaces = 0  # in the section so far
-        self._ours = -1  # the number of our interface in the section
-        self._damaged: tuple[int, str] | None = None  # since where, and why
+        self._order: Order | None = None  # byte order of the section; None before the first one
+        self._interfaces = 0  # interfaces in the section so far
+        self._ours = -1  # the number of our interface in the section, -1 if there is none
+        self._damaged: tuple[int, str] | None = None  # start of the current damage, and its cause
         self._ended = False
-        self._places = 0  # where something was left out
-        self._skipped = 0  # blocks that are good and none of ours
+        self._places = 0  # places where something was left out
+        self._skipped = 0  # valid blocks that canser did not write
         self._ids = BlockIds()
-        self._line_bytes = 0  # in the pieces so far
-        self._notes = 0
-        # What the next piece tells of what lies before it.
-        self._gap = False  # another recording ends there
-        self._lost = False  # something was left out
-        self._torn = False  # something was left out at that recording's end
+        self._line_bytes = 0  # bytes of the line in the pieces so far
+        self._notes = 0  # notes so far
+        # What lies between the last piece and the next one.
+        self._gap = False  # the end of another recording
+        self._lost = False  # something that was left out
+        self._torn = False  # something that was left out at the end of that recording
         self._blocks = self._run()
 
     def __next__(self) -> WalkedBlock:
         return next(self._blocks)
 
     def gather(self, gatherer: BlockGatherer) -> DataRun | None:
-        """Go on behind the next blocks that nothing is unusual about, if there are any."""
+        """Return the next blocks that need no closer check as one run, None if there are none."""
         pending = self._gap or self._lost or self._torn or self._damaged is not None
         if pending or self._order != "<" or self._ours < 0 or self._ended:
             return None
@@ -181,14 +197,14 @@ class Walk(Iterator[WalkedBlock]):
         return DataRun(data, ends, times)
 
     def find_interface(self) -> RecordingInfo:
-        """Go on behind the first interface of ours."""
+        """Read up to the first interface that canser wrote, and return its line."""
         for _ in self:
             if self.info is not None:
                 return self.info
         raise RecordingError(self.nothing())
 
     def nothing(self) -> str:
-        """Return the message for a file without an interface of ours."""
+        """Return the message for a file without an interface that canser wrote."""
         why = f"; {self.remarks[0]}" if self.remarks else ""
         return f"{self._input.name} is no recording: it describes no interface of canser's{why}"
 
@@ -228,7 +244,7 @@ class Walk(Iterator[WalkedBlock]):
             self.remarks.append("more is left out, and not named one by one")
 
     def _whole(self, at: int) -> memoryview | str:
-        """Return a block whose two lengths agree, or what is wrong."""
+        """Return the block at an offset if its two lengths agree, otherwise what is wrong."""
         head = self._input.at(at, pcapng.LENGTH_MIN)
         length = self._length(head)
         if length is None:
@@ -241,7 +257,7 @@ class Walk(Iterator[WalkedBlock]):
         return whole
 
     def _length(self, head: memoryview) -> int | None:
-        """Return the length that a block's first bytes tell, None if there can be no block."""
+        """Return the length in the first bytes of a block, None if no block can start there."""
         if len(head) < pcapng.LENGTH_MIN:
             return None
         order = pcapng.section_order(head) if head[:4] == pcapng.SECTION_MARK else self._order
@@ -252,7 +268,7 @@ class Walk(Iterator[WalkedBlock]):
         return length if fits else None
 
     def _check(self, at: int) -> WalkedBlock | str:
-        """Return the block there if it is good, else what is wrong; nothing is changed."""
+        """Return the block at an offset if it is valid, else what is wrong; changes nothing."""
         whole = self._whole(at)
         if isinstance(whole, str):
             return whole
@@ -265,7 +281,8 @@ class Walk(Iterator[WalkedBlock]):
         kind = pcapng.u32(whole, 0, self._order)
         if kind == pcapng.ENHANCED:
             return self._check_enhanced(whole)
-        # An unknown block is skipped; but what is one of ours in all but its type was one.
+        # An unknown block is skipped. But if it is a valid packet in all but its type, the type is
+        # damaged.
         meant = self._check_enhanced(whole)
         if isinstance(meant, WalkedBlock) and meant.piece is not None:
             return "the type of the block is damaged"
@@ -287,11 +304,11 @@ class Walk(Iterator[WalkedBlock]):
         return self._check_place(whole, packet)
 
     def _check_place(self, whole: memoryview, packet: Enhanced) -> WalkedBlock | str:
-        """Return a block of ours with what is lost before it, or why it does not belong there."""
+        """Return a block of our interface with what is lost before it, or why it is misplaced."""
         if not is_id(packet.packet_id) and (self._ids.used or packet.dropped is None):
             return _NOT_AS_WRITTEN
-        dropped = packet.dropped or 0  # beside an id 0 is not written
-        # Asked before the damage is done with: a block tried here is the block taken.
+        dropped = packet.dropped or 0  # in a block with an id, a drop count of 0 is not written
+        # The current damage still counts: it ends at this block, if the block is valid.
         damaged = self._lost or self._damaged is not None
         place, size = None, len(packet.data)
         if self._ids.used:
@@ -299,7 +316,7 @@ class Walk(Iterator[WalkedBlock]):
             found = self._ids.find(packet.packet_id, dropped, size)
             if isinstance(found, str):
                 return found
-            # The ids do not tell what is missing at the end of another recording.
+            # The ids do not show what is missing at the end of another recording.
             unsure = self._torn or (damaged and found.recording > 0)
             if unsure and isinstance(
                 again := self._ids.find(packet.packet_id, pcapng.UNKNOWN, size), Place
@@ -315,11 +332,11 @@ class Walk(Iterator[WalkedBlock]):
         return WalkedBlock(pcapng.ENHANCED, whole, piece, place, unsure_order, packet.comments)
 
     def _enter_piece(self, block: WalkedBlock, piece: DataBlock) -> None:
-        """Go on behind a piece."""
+        """Take in a block with a piece."""
         if block.is_given:
             self._gap = self._lost = self._torn = False
         else:
-            self._gap = piece.gap  # of the next one
+            self._gap = piece.gap  # passed on to the next piece
         if block.place is not None:
             self._ids.take(block.place)
         for note in block.notes:
@@ -331,9 +348,9 @@ class Walk(Iterator[WalkedBlock]):
         self._line_bytes += len(piece.data)
 
     def _enter(self, block: WalkedBlock) -> None:
-        """Take note of a block that is no piece."""
+        """Take in a block without a piece."""
         if block.kind == pcapng.SECTION:
-            self._gap = self._order is not None  # it goes on behind another recording
+            self._gap = self._order is not None  # the section follows another recording
             self._order = pcapng.section_order(block.whole)
             self._torn = self._lost
             self._interfaces, self._ours = 0, -1
@@ -346,10 +363,10 @@ class Walk(Iterator[WalkedBlock]):
 
     def _enter_interface(self, block: WalkedBlock) -> None:
         assert self._order is not None
-        told = read_interface(block.whole, self._order)
-        if told is None:
+        described = read_interface(block.whole, self._order)
+        if described is None:
             return
-        info, base = told
+        info, base = described
         first = self.info or info
         same = (info.protocol, info.baudrate, info.ts_unit) == (
             *(first.protocol, first.baudrate, first.ts_unit),
@@ -366,10 +383,11 @@ class Walk(Iterator[WalkedBlock]):
             )
 
     def _resume(self, at: int) -> int:
-        """Return where to go on behind a block that is not good."""
+        """Return the offset to continue at behind a block that is not valid."""
         whole = self._whole(at)
         if isinstance(whole, memoryview):
-            # Its lengths agree, and if a block may follow, or nothing: what is wrong is inside.
+            # The lengths agree. If a block can start behind it, or the file ends there, only the
+            # content is damaged.
             size = len(whole)
             behind = self._input.at(at, size + pcapng.LENGTH_MIN)[size:]
             if len(behind) < pcapng.LENGTH_MIN or self._length(behind) is not None:
@@ -377,9 +395,10 @@ class Walk(Iterator[WalkedBlock]):
         return self._scan(at + 1)
 
     def _scan(self, at: int) -> int:
-        """Return the next place where a recording begins or a piece's CRC32 holds; or the end.
+        """Return the next offset of a section, an interface or a piece with a valid CRC32.
 
-        Anywhere, not in steps of 4: a file may be put behind one that is torn.
+        Or the end. Every offset is tried, not only multiples of 4, because a file may have been
+        appended to one that was cut off.
         """
         marks = [re.escape(pcapng.SECTION_MARK)]
         if self._order is not None:
@@ -387,13 +406,13 @@ class Walk(Iterator[WalkedBlock]):
             marks += [interface_mark(self._order)]
         search = re.compile(b"|".join(marks), re.DOTALL)
         while True:
-            view = self._input.at(at, _SCAN)
+            view = self._input.at(at, _SCAN_LEN)
             for found in search.finditer(view):
                 block = self._check(at + found.start())
                 if isinstance(block, WalkedBlock) and (
                     block.kind != pcapng.ENHANCED or block.piece
                 ):
                     return at + found.start()
-            if len(view) < _SCAN:
+            if len(view) < _SCAN_LEN:
                 return at + len(view)
             at += len(view) - MARK_MAX + 1

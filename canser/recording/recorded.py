@@ -1,4 +1,4 @@
-"""The frames of a recording: its blocks decoded, with host times."""
+"""Decode the blocks of a recording into frames with times of the host's clock."""
 
 from collections.abc import Callable, Iterator
 
@@ -14,15 +14,25 @@ from canser.timing.loop import TimedDecoder
 
 __all__ = ["RecordedFrames"]
 
-# The first bytes of the line that are kept.
+# Bytes kept from the start of the line: enough for `identify`.
 _HEAD_LEN = 1 << 16
 
 
 class RecordedFrames:
-    """Decode a recording into arrays that the caller makes.
+    """Decodes a recording into arrays that the caller makes.
 
-    `protocol`, `ts_unit`: what the recording says where they are None. `live`: frames are
-    handed on as the pieces come. RecordingError if the recording's protocol is unknown.
+    RecordingError if the recording's protocol is unknown.
+
+    Parameters
+    ----------
+    recording
+        The recording, at its start.
+    protocol
+        The protocol to decode in; None for the recording's own.
+    ts_unit
+        Unit of the device's timestamps; None for the recording's own.
+    live
+        Whether frames are returned as soon as their bytes arrive, and not in full arrays.
     """
 
     def __init__(
@@ -30,7 +40,7 @@ class RecordedFrames:
     ) -> None:
         self.info: RecordingInfo = recording.info
         self._recording, self._live = recording, live
-        self.head = bytearray()  # the first bytes of the line, to tell what they are
+        self.head = bytearray()  # the first bytes of the line, for `identify`
         try:
             self.decoder = Decoder(
                 self.info.protocol if protocol is None else protocol,
@@ -44,12 +54,12 @@ class RecordedFrames:
 
     @property
     def bytes_done(self) -> int:
-        """How far in the file it has come."""
+        """Bytes of the file that were read."""
         return self._recording.bytes_done
 
     @property
     def remarks(self) -> list[str]:
-        """What a caller should know, a line each."""
+        """Remarks about the recording so far, a line each."""
         remarks = list(self._recording.remarks)
         if self._gaps:
             lost = f"{self._bytes_lost:,}"
@@ -62,19 +72,19 @@ class RecordedFrames:
         return remarks
 
     def release(self) -> None:
-        """Let go of the memory that reading took; nothing more is read."""
+        """Release the memory that reading took; nothing more is read."""
         self.head = bytearray()
-        self._let_go()
+        self._release_arrays()
 
-    def _let_go(self) -> None:
-        """Refer to no array of the caller's any more."""
+    def _release_arrays(self) -> None:
+        """Drop the references to the caller's arrays."""
         self._out = np.empty(1, FRAME_DTYPE)
         self._loop.use(self._out)
 
     def line_bytes(self) -> Iterator[memoryview]:
-        """Yield the bytes of the line as they were recorded, each good until the next.
+        """Yield the bytes of the line as they were recorded, without decoding them.
 
-        Nothing is decoded.
+        Each piece is valid until the next one.
         """
         for run in self._recording.runs():
             if run.gap:
@@ -84,13 +94,16 @@ class RecordedFrames:
     def run(
         self, room: Callable[[], tuple[FrameArray, Offsets | None]]
     ) -> Iterator[tuple[FrameArray, int]]:
-        """Yield arrays and how many frames are in each; `room` makes them, and their offsets."""
+        """Yield arrays, and the number of frames in each.
+
+        `room` returns a new array to fill, and another one for the stream offsets, or None.
+        """
         loop = self._loop
         self._take(room)
         for run in self._recording.runs():
             if run.gap:
                 self._count_gap(run.lost)
-                # Only what came before the gap is held: it will never be whole.
+                # The pending bytes came before the gap. Their packet will not be completed.
                 yield from self._flush(room)
                 loop.gap()
             loop.clock.arrivals.extend(run.ends + self.decoder.position, run.times)
@@ -108,12 +121,12 @@ class RecordedFrames:
         yield from self._flush(room)
         if loop.count:
             yield self._hand_over()
-        self._let_go()
+        self._release_arrays()
 
     def _flush(
         self, room: Callable[[], tuple[FrameArray, Offsets | None]]
     ) -> Iterator[tuple[FrameArray, int]]:
-        """Decode what is held to its end."""
+        """Decode the pending bytes to their end."""
         while self.decoder.pending:
             self._loop.flush(len(self._out))
             if self._loop.count == len(self._out):

@@ -1,4 +1,4 @@
-"""Recover what is good of a damaged recording."""
+"""Copy the valid blocks of a damaged recording."""
 
 from dataclasses import dataclass
 from typing import BinaryIO, Final
@@ -11,34 +11,38 @@ from canser.recording.reader import Walk
 
 __all__ = ["Recovered", "recover"]
 
-_SECTION_LENGTH: Final = slice(16, 24)  # where a section's header tells how long it is
+_SECTION_LENGTH: Final = slice(16, 24)  # the field of a section header with the section's length
 
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """What became of a damaged recording."""
+    """The result of a recovery."""
 
+    #: The line that the recording is of.
     info: RecordingInfo
-    blocks: int  # of bytes of the line, that were kept
-    bytes_kept: int  # in them
-    bytes_left_out: int  # of the damaged file, with the format's own
+    #: Blocks with bytes of the line that were copied.
+    blocks: int
+    #: Bytes of the line in these blocks.
+    bytes_kept: int
+    #: Bytes of the damaged file that were left out, including those of the format.
+    bytes_left_out: int
+    #: What was left out and why, a line each.
     remarks: list[str]
 
 
 def recover(source: BinaryIO, target: BinaryIO) -> Recovered:
-    """Copy the good blocks of a recording; nothing is made up.
+    """Copy the valid blocks of a recording; nothing is invented.
 
-    Blocks keep their ids. Where these do not tell what was left out, the next block gets the drop
-    count of a gap of unknown length, so that reading the copy gives what reading the damaged file
-    gives.
-    RecordingError if there is no interface of canser's.
+    Blocks keep their ids. If the ids do not show how much was left out, the next block gets the
+    drop count of a gap of unknown length. So reading the copy gives the same result as reading the
+    damaged file. RecordingError if the file has no interface that canser wrote.
     """
     walk = Walk(Input(source))
     blocks = bytes_kept = 0
     for block in walk:
         whole: memoryview | bytearray | bytes = block.whole
         if block.kind == pcapng.SECTION:
-            # Its length may not hold any more; "unknown" always does.
+            # The length may be wrong now. All ones, "unknown", is always right.
             whole = bytearray(whole)
             whole[_SECTION_LENGTH] = b"\xff" * 8
         elif block.piece is not None:

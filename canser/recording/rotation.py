@@ -1,4 +1,4 @@
-"""Where the bytes of a live port go: into one file, a rotation of files, or around triggers."""
+"""Record the bytes of a live port: into one file, a rotation of files, or around triggers."""
 
 import contextlib
 import errno
@@ -23,31 +23,37 @@ __all__ = ["MEMORY", "SUFFIX", "FileEvent", "RecordingFiles"]
 
 SUFFIX: Final = ".pcapng"
 
-# What waits for a trigger takes no more memory, in bytes. A block takes so many besides its own.
+# The most memory for bytes that wait for a trigger, in bytes; and about the memory that a block
+# takes besides its data, in Python objects.
 MEMORY: Final = 1 << 26
-_BLOCK: Final = 200
+_BLOCK_MEMORY: Final = 200
 
-# What the format adds, at most: at the start and the end of a file, and to each block of it.
+# The most bytes that the format adds at the start and the end of a file, and to each block.
 _FILE_OVERHEAD: Final = 1024
 _BLOCK_OVERHEAD: Final = 72
 
 
 class FileEvent(NamedTuple):
-    """What has become of a file, or why it was begun."""
+    """What happened to a file, or the trigger that began it."""
 
-    kind: str  # "opened", "closed", "deleted", "vanished", "trigger", and of a file that was set
-    # aside: "restored", "set_aside" where it stays so
-    path: str  # of the file; of a trigger the one that was open, or ""
-    ts: int  # epoch nanoseconds
-    lost: int = 0  # bytes of the line that are gone with a file that has vanished
-    renamed: bool = False  # it has vanished, and has another name: its bytes are there
+    #: "opened", "closed", "deleted", "vanished" or "trigger"; for an old file that was set aside
+    #: "restored", or "set_aside" if it keeps its new name.
+    kind: str
+    #: Path of the file; for a trigger that of the open file, "" if there is none.
+    path: str
+    #: Nanoseconds since 1970.
+    ts: int
+    #: Bytes of the line that are lost with a file that has vanished.
+    lost: int = 0
+    #: Whether a file that has vanished has another name. Then its bytes are not lost.
+    renamed: bool = False
 
 
-class _Own(NamedTuple):
-    """A file of this run, and what it is known by."""
+class _OwnFile(NamedTuple):
+    """A file of this run, and the identity by which it is recognised."""
 
     path: str
-    identity: os.stat_result | None
+    identity: os.stat_result | None  # None if the system cannot recognise a file
     closed: bool = False
 
     def is_there(self) -> bool:
@@ -58,18 +64,18 @@ class _Own(NamedTuple):
             return False
         if self.identity is None:
             return True
-        # The number of a file that is gone is soon that of another one: see the size, too.
+        # Compare the size, too: the inode number of a deleted file is soon used again.
         same_size = not self.closed or there.st_size == self.identity.st_size
         return same_size and os.path.samestat(there, self.identity)
 
 
 @dataclass(frozen=True, slots=True)
 class _Segment:
-    """Bytes between two ends of packets: nothing in it belongs to a packet outside."""
+    """Bytes between two borders of packets: no packet is partly inside."""
 
     blocks: list[DataBlock]
-    begin_ns: int  # when its first byte came
-    size: int  # bytes in it
+    begin_ns: int  # arrival of the first byte
+    size: int  # bytes
 
     @property
     def end_ns(self) -> int:
@@ -77,36 +83,53 @@ class _Segment:
 
 
 class RecordingFiles(Uncopied):
-    """Put the bytes of a port into recordings.
+    """Puts the bytes of a port into recordings.
 
-    `path` ends in SUFFIX. Without anything else it is the one file. With `size` (bytes of a
-    file at most), `period_ns` (time in a file at most) or `window_ns` the files are
-    `NAME-000001.pcapng` and so on, behind those that are there already; the newest `keep` of
-    those made here stay.
+    `write` takes the bytes, as the `on_bytes` of a port does. `advance` then takes the end of the
+    decoded packets, and records the bytes before it. Files begin and end between two packets, so
+    each can be decoded by itself.
 
-    With `window_ns`, nanoseconds before and after, only what surrounds a trigger is recorded:
-    a file for each, but triggers whose surroundings touch share one, without a gap inside.
-    What came before waits in memory, MEMORY bytes at most.
+    With `size`, `period_ns` or `window_ns` the files are numbered: `NAME-000001.pcapng` and so on.
+    The numbers continue those of files that exist already.
 
-    `write` takes the bytes, as the `on_bytes` of a port; `advance` then tells how far packets are
-    decoded, and moves the bytes on. Files begin and end between two packets, so that each
-    can be decoded by itself.
+    With `window_ns` only the bytes around a trigger are recorded, a file for each trigger. Triggers
+    whose windows touch share a file, without a gap inside. Bytes that may be needed for a trigger
+    wait in memory, MEMORY bytes at most.
 
-    `force`: files of these names are replaced, numbers begin with 1. The old file is NAME.old
-    until the first bytes of the line are on the disk; it gets its name back if none ever are.
-
-    A file that is removed, replaced or renamed while it is open has `vanished`, and what comes
-    goes into a new one: of the same name, or a numbered one where files are numbered or the
-    name is another file's; a folder that is gone is made again. The bytes of one that was
-    renamed are recorded, the others are `bytes_vanished`. OSError where another recorder has
+    A file that is removed, replaced or renamed while it is open has vanished. The next bytes go
+    into a new file: of the same name, or a numbered one if files are numbered or another file has
+    that name. A folder that is gone is made again. The bytes of a renamed file count as recorded,
+    those of other files that have vanished are `bytes_vanished`. OSError if another recorder has
     the name.
 
-    Law: `bytes_in == bytes_recorded + bytes_passed + bytes_vanished` after `close`, if the
-    disk was never full.
+    After `close`, `bytes_in == bytes_recorded + bytes_passed + bytes_vanished`, if the disk was
+    never full.
 
-    FileExistsError, FileNotFoundError, PermissionError for a path that will not do: by the
-    constructor, which makes no file. OSError of the disk from `start`, `advance` and `close`:
-    nothing more is written then, `bytes_recorded` are on the disk, and `bytes_unsure` may be.
+    OSError of the disk from `start`, `advance` and `close`: nothing more is written after it.
+    `bytes_recorded` are on the disk, and `bytes_unsure` may be.
+
+    Parameters
+    ----------
+    path
+        The file; its name ends in SUFFIX.
+    info
+        The line that is recorded.
+    size
+        The most bytes of a file, 1 or more.
+    period_ns
+        The longest time in a file, in nanoseconds, 1 or more.
+    window_ns
+        The times to record before and after a trigger, in nanoseconds.
+    keep
+        The number of files made here that are kept, the newest ones; all by default.
+    force
+        Replace files of these names; numbers begin with 1. The old file is NAME.old until the first
+        bytes of the line are on the disk. If none ever are, it gets its name back.
+
+    Raises
+    ------
+    FileExistsError, FileNotFoundError, PermissionError
+        No recording can be made at `path`. The constructor makes no file.
     """
 
     def __init__(
@@ -137,37 +160,38 @@ class RecordingFiles(Uncopied):
         self._number = self._last_number(path)
 
         self.bytes_in = 0
-        self.bytes_passed = 0  # not recorded on purpose: no trigger was near
-        self.bytes_vanished = 0  # in files that were removed while they were open
+        self.bytes_passed = 0  # bytes not recorded because no trigger was near
+        self.bytes_vanished = 0  # bytes in files that were removed while they were open
         self.vanished = 0  # files that were removed, replaced or renamed while they were open
-        self.bytes_unsure = 0  # written, but not known to be on the disk
+        self.bytes_unsure = 0  # bytes that were written, but are not known to be on the disk
         self.triggers = 0
-        self.files = 0  # that were opened
-        self.out_of_memory = False  # MEMORY was too small for all that came before a trigger
-        self.events: deque[FileEvent] = deque()  # for the caller to take
-        # What has stopped it: an error of the disk; or an interrupt, perhaps within a block.
+        self.files = 0  # files that were opened
+        self.out_of_memory = False  # whether MEMORY was too small for the bytes before a trigger
+        self.events: deque[FileEvent] = deque()  # the caller removes them
+        # Why nothing more is recorded: an error of the disk, or an interrupt, perhaps inside a
+        # block.
         self.error: BaseException | None = None
-        self._recorded = 0  # in files that are closed
-        self._fresh: deque[DataBlock] = deque()  # not known to be decoded
-        self._settled = 0  # the stream offset of the first byte in there
-        self._settled_ns = 0  # when the byte before it came
-        self._waiting: deque[_Segment] = deque()  # for a trigger
-        self._waiting_size = 0
-        self._until_ns = 0  # what comes by then is recorded
+        self._recorded = 0  # bytes in files that are closed
+        self._fresh: deque[DataBlock] = deque()  # blocks that are not known to be decoded
+        self._settled = 0  # stream offset of the first byte in `_fresh`
+        self._settled_ns = 0  # arrival of the byte before it
+        self._waiting: deque[_Segment] = deque()  # segments that wait for a trigger
+        self._waiting_size = 0  # their memory, in bytes
+        self._until_ns = 0  # the end of the window: bytes that arrive until then are recorded
         self._writer: RecordingWriter | None = None
         self._file = ""
-        self.last_file = ""  # the path of the file that was opened last
+        self.last_file = ""  # path of the file that was opened last
         self._file_ns = self._file_bytes = 0
-        self._last_ns = 0  # of what was recorded last
-        # What the system's clock is ahead of the one that times are from, and how far it was when
-        # the open file began.
+        self._last_ns = 0  # arrival of the bytes that were recorded last
+        # How far the system's clock is ahead of the clock that arrivals are from: now, and at the
+        # start of the open file.
         self._ahead_ns = self._file_ahead_ns = 0
-        self._old: OldFile | None = None  # what `force` set aside for the open file
-        self._own: deque[_Own] = deque()  # files of this run that are there
+        self._old: OldFile | None = None  # the file that `force` set aside for the open file
+        self._own: deque[_OwnFile] = deque()  # files of this run that were not deleted
 
     @property
     def bytes_recorded(self) -> int:
-        """Bytes of the line in files, after an error those that are on the disk for sure."""
+        """Bytes of the line in files; after an error, those that are known to be on the disk."""
         if self._writer is None:
             return self._recorded
         writer = self._writer
@@ -181,42 +205,42 @@ class RecordingFiles(Uncopied):
 
     @property
     def file_bytes(self) -> int:
-        """Bytes of the line that went into the open file."""
+        """Bytes of the line that were written into the open file."""
         return self._file_bytes
 
     @property
     def recording(self) -> bool:
-        """Whether what comes is recorded, and does not wait for a trigger."""
+        """Whether the next bytes are recorded, and do not wait for a trigger."""
         return self._writer is not None and not self._waiting
 
     @property
     def files_kept(self) -> list[str]:
-        """The paths of the files of this run that are there, oldest first."""
+        """The paths of the files of this run that exist, oldest first."""
         return [own.path for own in self._own if own.is_there()]
 
     @property
     def files_made(self) -> list[str]:
-        """The paths of the files of this run that it has not deleted; the disk is not asked."""
+        """The paths of the files of this run that it has not deleted; the disk is not read."""
         return [own.path for own in self._own]
 
     def start(self, now_ns: int) -> None:
-        """Open the first file, where none waits for a trigger."""
+        """Open the first file, unless files wait for triggers."""
         if self._window_ns is None:
             self._open(now_ns)
 
     def write(self, data: memoryview | bytes, arrival_ns: int, lost: int = 0) -> None:
-        """Take bytes as they came; the arguments are those of a port's `on_bytes`.
+        """Take bytes as they arrived. The arguments are those of a port's `on_bytes`.
 
-        Without bytes at the end: `lost` ones that none have followed.
+        A call without bytes at the end reports `lost` bytes that no others have followed.
         """
         self._fresh.append(DataBlock(bytes(data), arrival_ns, lost))
         self.bytes_in += len(data)
 
     def advance(self, border: int, now_ns: int, triggers: Iterable[int] = ()) -> None:
-        """Move on what lies before the stream offset `border`, where a packet has ended.
+        """Record the bytes before the stream offset `border`, at which a packet has ended.
 
-        `triggers`: epoch nanoseconds, ascending, of what has happened in the bytes that this
-        moves on; they are recorded in any case.
+        `triggers`: times of triggers in these bytes, in nanoseconds since 1970, ascending. The
+        bytes are recorded in any case, even if a trigger's time is not in their arrivals.
         """
         self._move_on(border, triggers)
         if self._writer is not None and self.error is None:
@@ -240,15 +264,15 @@ class RecordingFiles(Uncopied):
             for ns in triggers:
                 self._trigger(ns)
             if self._waiting:
-                self._sift(self._waiting[-1].end_ns - self._window_ns[0])
+                self._record_or_pass(self._waiting[-1].end_ns - self._window_ns[0])
             while self._waiting_size > MEMORY:
                 self.out_of_memory = True
                 self._pass_oldest()
 
     def clock_was_set(self, step_ns: int, now_ns: int) -> None:
-        """Take note that the system's clock was set: the next files have its time.
+        """Use the new time of the system's clock, which was set, in the next files.
 
-        The open one goes on in the time that it began with, and has a note of it.
+        The open file continues with the time that it began with, and gets a note.
         """
         self._ahead_ns += step_ns
         if self._writer is not None and self.error is None:
@@ -259,7 +283,7 @@ class RecordingFiles(Uncopied):
                 )
 
     def arrival_of(self, offset: int) -> int:
-        """Return when the byte at a stream offset came that no `advance` has passed by."""
+        """Return the arrival of the byte at a stream offset that `advance` has not reached."""
         at = self._settled
         for block in self._fresh:
             at += len(block.data)
@@ -268,7 +292,7 @@ class RecordingFiles(Uncopied):
         return self._last_ns
 
     def close(self) -> None:
-        """Record what is held, and close the file. May be called again."""
+        """Record the remaining bytes, and close the file. May be called again."""
         try:
             if self._window_ns is not None or self._writer is not None:
                 self._move_on(self.bytes_in)
@@ -277,13 +301,11 @@ class RecordingFiles(Uncopied):
         finally:
             self._close_file()
 
-    # Inside
-
     def _settle(self, border: int) -> _Segment | None:
-        """Take the bytes before a stream offset."""
+        """Remove the bytes before a stream offset from `_fresh`, and return them."""
         blocks: list[DataBlock] = []
         begin, byte_ns = self._settled, self._info.byte_ns
-        # At the end there may be a block without bytes: others were lost that none followed.
+        # A block without bytes may be at the end: it reports lost bytes that none have followed.
         while self._fresh and (self._settled < border or not self._fresh[0].data):
             block = self._fresh.popleft()
             fits, behind = border - self._settled, 0
@@ -305,17 +327,17 @@ class RecordingFiles(Uncopied):
         assert self._window_ns is not None
         before, after = self._window_ns
         self.triggers += 1
-        # No trigger needs what is too old for this one.
-        self._sift(ns - before)
+        # Bytes that are too old for this trigger are too old for later ones.
+        self._record_or_pass(ns - before)
         if ns > self._until_ns:
             self.events.append(FileEvent("trigger", self._file, ns))
         self._until_ns = max(self._until_ns, ns + after)
         if self._waiting:
-            # What has triggered is in there, whenever its clock says that it was.
+            # The frame that triggered is in the last segment, whatever its own time says.
             self._until_ns = max(self._until_ns, self._waiting[-1].begin_ns)
 
-    def _sift(self, oldest_ns: int) -> None:
-        """Record what waits for no trigger any more, and pass by what came before a time."""
+    def _record_or_pass(self, oldest_ns: int) -> None:
+        """Record the waiting bytes that are inside a window, and pass over those before a time."""
         while self._waiting:
             segment = self._waiting[0]
             if segment.begin_ns <= self._until_ns:
@@ -338,7 +360,7 @@ class RecordingFiles(Uncopied):
         if self._size is None or segment.size <= self._size:
             self._write(segment.blocks, segment.begin_ns, segment.size)
             return
-        # Noise without an end: a file must end somewhere.
+        # Otherwise noise, in which no packet ends, would make a file larger than `size`.
         for block in segment.blocks:
             self._write([block], block.arrival_ns, len(block.data))
 
@@ -348,7 +370,7 @@ class RecordingFiles(Uncopied):
             self._open(begin_ns)
         assert self._writer is not None
         if not self._file_bytes:
-            self._file_ns = begin_ns  # the first one may have been open for long
+            self._file_ns = begin_ns  # not the opening: the first file may be open for long before
         for block in blocks:
             with self._breaking():
                 self._writer.write(block.data, block.arrival_ns + self._file_ahead_ns, block.lost)
@@ -356,22 +378,22 @@ class RecordingFiles(Uncopied):
         self._last_ns = blocks[-1].arrival_ns
 
     def _is_full(self, more: list[DataBlock], size: int) -> bool:
-        """Return whether bytes, and blocks of which they are, are too many for the open file."""
+        """Return whether blocks, with `size` bytes in all, are too much for the open file."""
         assert self._writer is not None
         if not self._file_bytes:
             return False
         if self._period_ns is not None and more[-1].arrival_ns - self._file_ns > self._period_ns:
             return True
-        # The open chunk is one block more, and each read that is to come may be one.
+        # The open chunk makes one more block, and each of the new blocks may make one.
         blocks = self._writer.blocks_written + 1 + len(more)
         overhead = _FILE_OVERHEAD + blocks * _BLOCK_OVERHEAD
         return self._size is not None and self._file_bytes + size + overhead > self._size
 
     def _replace(self, now_ns: int) -> None:
-        """Go on in a new file: the open one has vanished."""
+        """Continue in a new file, because the open one has vanished."""
         file = self._file
         self._close_file()
-        with contextlib.suppress(PermissionError):  # not even that can be told
+        with contextlib.suppress(PermissionError):  # whether the name is locked is not known
             if is_locked(Path(file)):
                 self.error = OSError(errno.EBUSY, "another program records into it now", file)
                 raise self.error
@@ -391,25 +413,25 @@ class RecordingFiles(Uncopied):
                 break
             except FileExistsError:
                 if self.vanished:
-                    self._numbered = True  # the file that has the name now stays
+                    self._numbered = True  # do not replace the file that has the name now
                 if not self._numbered:
                     raise
-                # Another program counts here, too: its file stays, and the next number is taken.
+                # Another program makes numbered files here, too. Try the next number.
         self._file, self._file_ns, self._file_bytes = str(path), ns, 0
         self._file_ahead_ns = self._ahead_ns
         self.files += 1
         self.last_file = self._file
-        self._own.append(_Own(self._file, self._writer.identity))
+        self._own.append(_OwnFile(self._file, self._writer.identity))
         self.events.append(FileEvent("opened", self._file, ns))
         if self._keep is not None and len(self._own) > self._keep:
             oldest = self._own.popleft()
-            # It may have been taken away, and another file may have its name.
+            # Delete only our own file: another one may have its name now.
             if oldest.is_there():
                 Path(oldest.path).unlink(missing_ok=True)
                 self.events.append(FileEvent("deleted", oldest.path, ns))
 
     def _create(self, path: Path) -> RecordingWriter:
-        """Return a new file; a file that is there is set aside if it may be replaced."""
+        """Return the writer of a new file. An old file is set aside if it may be replaced."""
         old = OldFile(path) if self._force and os.path.lexists(path) else None
         try:
             writer = RecordingWriter(path, self._info)
@@ -421,7 +443,7 @@ class RecordingFiles(Uncopied):
         return writer
 
     def _settle_old(self, writer: RecordingWriter, *, closed: bool) -> None:
-        """Delete the file that was set aside, or put it back, as soon as it is known which."""
+        """Delete the file that was set aside, or put it back, once one of them is certain."""
         old = self._old
         if old is None:
             return
@@ -454,17 +476,17 @@ class RecordingFiles(Uncopied):
             self._settle_old(writer, closed=True)
 
     def _account(self, writer: RecordingWriter, file: str) -> None:
-        """Count what is in a file that was closed, and tell of it."""
+        """Count the bytes of a file that was closed, and add its event."""
         if writer.vanished:
             self._own.pop()
             self.vanished += 1
-            # What has come to its name since is none of the files that may be replaced.
+            # A file that has taken its name since must not be replaced.
             self._force = self._force and self._numbered
             lost = 0 if writer.renamed else writer.bytes_written
             self.events.append(FileEvent("vanished", file, self._last_ns, lost, writer.renamed))
             self.bytes_vanished += lost
         else:
-            self._own[-1] = _Own(file, writer.identity, closed=True)
+            self._own[-1] = _OwnFile(file, writer.identity, closed=True)
             self.events.append(FileEvent("closed", file, self._last_ns))
         if not writer.vanished or writer.renamed:
             self._recorded += writer.bytes_synced
@@ -472,7 +494,7 @@ class RecordingFiles(Uncopied):
 
     @contextlib.contextmanager
     def _breaking(self) -> Iterator[None]:
-        """Let nothing more be recorded after an error of the disk, or an interrupt."""
+        """Keep an error of the disk, or an interrupt, in `error`: then nothing more is recorded."""
         try:
             yield
         except FileExistsError:
@@ -487,7 +509,7 @@ class RecordingFiles(Uncopied):
         return self._path.with_name(f"{self._path.stem}-{number:06}{self._path.suffix}")
 
     def _last_number(self, path: str) -> int:
-        """Return the highest number of a file that is there; see that one can be made."""
+        """Return the highest number of an existing file; raise if no file can be made."""
         folder = self._path.parent
         name = re.compile(
             f"{re.escape(self._path.stem)}-([0-9]{{6,}}){re.escape(self._path.suffix)}"
@@ -506,4 +528,4 @@ class RecordingFiles(Uncopied):
 
 
 def _memory(segment: _Segment) -> int:
-    return segment.size + _BLOCK * len(segment.blocks)
+    return segment.size + _BLOCK_MEMORY * len(segment.blocks)

@@ -1,4 +1,4 @@
-"""Write recordings: the raw bytes of a line with their times, append-only."""
+"""Write recordings: the raw bytes of a serial line with their times, append-only."""
 
 import contextlib
 import errno
@@ -20,54 +20,73 @@ from canser.timing.arrivals import count_back
 
 __all__ = ["RecordingWriter"]
 
-# A chunk holds no more bytes, and is closed this long after its first byte came.
+# The most bytes in a chunk, and the time after its first byte at which a chunk is closed.
 CHUNK_MAX: Final = 1 << 16
 CHUNK_NS: Final = 250_000_000
 
-# A reader knows the time of a chunk's last byte, and counts back at the line's rate. The
-# chunk ends before a piece of it gets a time that is off by more than this: about what a
-# USB frame and the scheduler put onto a time anyway. So a chunk spans this much silence at
-# most, and there are no more than 500 chunks in a second besides the full ones: 64 bytes
-# each, 32 kB/s. (2,000 frames a second read one by one at 2,000,000 baud: 5 in a chunk, 26 kB/s
-# for as many bytes of frames.) On a line that is faster than it says, as a pseudo terminal
-# is, pieces of twice this time of the line, together, are in two chunks at the least.
+# The largest error of a time inside a chunk. A reader knows the arrival of a chunk's last byte, and
+# counts back from there at the baud rate. A chunk ends before that would be wrong by more than
+# this: about the error that a USB frame and the scheduler add to each arrival anyway.
+# So the silence inside a chunk is at most this long, and besides full chunks there are at most 500
+# chunks per second: 32 kB/s, at 64 bytes each. (2,000 frames per second, read one by one at
+# 2,000,000 baud, make chunks of 5 frames: 26 kB/s for as many bytes of frames.)
+# If bytes arrive faster than the nominal baud rate (a pseudo terminal), a chunk is split once
+# counting back at that rate would be wrong by more than this.
 TIME_ERROR_NS: Final = 2_000_000
 
+# The time between two syncs to the disk.
 _SYNC_NS: Final = 1_000_000_000
 
-# Options of the interface's statistics, as the standard numbers them.
+# Codes of options of the interface statistics, from the pcapng draft.
 _START, _END, _RECEIVED, _DROPPED = 2, 3, 4, 5
 
 _HEAD_LEN: Final = pcapng.ENHANCED_HEAD_LEN
 
-# An option of a block holds no more bytes.
+# The most bytes in a note: the length of an option has 16 bits.
 _NOTE_MAX: Final = (1 << 16) - 1
 
-# Where there is nothing to be written through: a pipe, a terminal.
+# Errors of fsync on a file that needs no sync: a pipe, a terminal.
 _NO_SYNC: Final = {errno.EINVAL, errno.ENOTSUP, errno.EROFS}
 
-# What the system says of a name that is gone, alone or with its folder.
+# Errors for a name that does not exist any more, alone or with its folder.
 _NO_FILE: Final = {errno.ENOENT, errno.ENOTDIR, errno.ESTALE}
 
 
 class RecordingWriter(Uncopied):
-    """Write a recording, block by block; a context manager.
+    """Writes a recording, block by block; a context manager. For one thread at a time.
 
-    `target`: the path of a file that is not there yet, or an empty file open for writing,
-    of which the descriptor is used. Each block is written by one call, whole, and written
-    through once a second: after a crash at any moment all blocks are good but the last. For
-    one thread at a time.
+    Each block is written whole, by one call of the system, and synced to the disk once per second.
+    After a crash at any moment all blocks are valid, except the last one. A path is locked until
+    `close`.
 
-    OSError where the disk is full: the file then ends with its last whole block, the writer
-    writes no more, and what was in the open chunk is lost. OSError, too, where the disk does
-    not take what was written: what came behind `bytes_synced` may then be lost. An error names
-    the path. FileExistsError for a path that is there. A path is locked until `close`.
+    Parameters
+    ----------
+    target
+        The path of a file that does not exist, or an empty file that is open for writing. The
+        descriptor of such a file is used.
+    info
+        The line that is recorded.
+    syncs
+        Whether to sync once per second. Otherwise the file is synced at its end only; this is for
+        data that can be made again.
+    time_error_ns
+        The largest error of a time inside a chunk. A chunk ends before counting back at the baud
+        rate would be wrong by more than this.
 
-    Without `syncs` the file is written through at its end only, for what can be made again.
-    A chunk ends before counting back in it is off by more than `time_error_ns`.
+    Attributes
+    ----------
+    vanished : bool
+        Whether the path is no longer the name of the file, which was removed, replaced or renamed.
+        Checked once per second and by `close`. Bytes are still written into that file.
 
-    `vanished` tells, as of the last second and of `close`, that the path is no more the name of
-    the file: it was removed, replaced or renamed. What is written goes into the file still.
+    Raises
+    ------
+    FileExistsError
+        The path exists already.
+    OSError
+        The disk is full: the file then ends with its last whole block, the open chunk is lost, and
+        the writer cannot be used any more. Or a sync has failed: bytes behind `bytes_synced` may
+        be lost. The error names the path.
     """
 
     def __init__(
@@ -79,26 +98,26 @@ class RecordingWriter(Uncopied):
         time_error_ns: int = TIME_ERROR_NS,
     ) -> None:
         self.info, self._syncs, self._time_error_ns = info, syncs, time_error_ns
-        self.bytes_written = 0  # of the line, without the format's own
-        self.bytes_synced = 0  # of these, those that are known to be on the disk
+        self.bytes_written = 0  # bytes of the line, without those of the format
+        self.bytes_synced = 0  # bytes of the line that are known to be on the disk
         self.blocks_written = 0
         self.vanished = False
-        self.renamed = False  # it has vanished, and has another name
-        self._room = bytearray()  # the open chunk: the block's head, and the bytes
+        self.renamed = False  # the file has vanished, and has another name
+        self._room = bytearray()  # the open chunk: the head of its block, and its bytes
         self._crc32 = 0
-        self._first_ns = self._last_ns = 0  # of the pieces in the open chunk
+        self._first_ns = self._last_ns = 0  # arrivals of the pieces in the open chunk
         self._shift_min = self._shift_max = 0.0
-        self._lost = self._lost_total = 0  # before the open chunk, and in all
-        self._notes: list[bytes] = []  # for the open chunk
+        self._lost = self._lost_total = 0  # lost bytes before the open chunk, and in all
+        self._notes: list[bytes] = []  # notes for the open chunk
         base = make_base()
-        self._next_id = base  # where the open chunk begins, but for what is lost before it
-        self._times: tuple[int, int] | None = None  # of the first block and the last
+        self._next_id = base  # id of the open chunk if no bytes are lost before it
+        self._times: tuple[int, int] | None = None  # times of the first block and the last
         self._synced_ns = 0
         self._dirty = False
-        self._whole = 0  # the size of the file up to its last whole block
+        self._whole = 0  # bytes of the file up to the end of its last whole block
         self._usable = True
         self._opened: BinaryIO | None = None
-        header = make_header(info, base)  # a mistake shows before there is a file
+        header = make_header(info, base)  # first, so that an error leaves no file
         self._path: Path | None = None
         if isinstance(target, (str, os.PathLike)):
             self._path = Path(target)
@@ -110,8 +129,8 @@ class RecordingWriter(Uncopied):
             file = target
         self._fd = file.fileno()
         self._new_chunk()
-        # What the path is compared with; None where the system does not know a file again, as
-        # on some network drives.
+        # What the path is compared with. None if the system cannot recognise a file, as on some
+        # network drives.
         self.identity: os.stat_result | None = None
         try:
             with self._naming():
@@ -134,18 +153,26 @@ class RecordingWriter(Uncopied):
         self.close()
 
     def write(self, data: memoryview | bytes, arrival_ns: int, lost: int = 0) -> None:
-        """Take bytes as they were read from the line; their last one came at `arrival_ns`.
+        """Write bytes as they were read from the line. The bytes are copied.
 
-        `lost`: bytes of the line that are lost right before these, -1 for an unknown number;
-        they are recorded where no bytes follow, too. The bytes are copied. While nothing comes
-        call `poll` every 250 ms or so.
+        While no bytes arrive, call `poll` about every 250 ms.
+
+        Parameters
+        ----------
+        data
+            The bytes; may be empty.
+        arrival_ns
+            Arrival of the last byte, in nanoseconds since 1970.
+        lost
+            Bytes of the line that are lost right before these, -1 for an unknown number. They are
+            recorded even if no bytes follow.
         """
         self._check_usable()
         if lost:
             self._close_chunk()
             self._lost = _sum_lost(self._lost, lost)
             self._last_ns = arrival_ns
-        # What is too large for a chunk, in parts: each came before the next on the line.
+        # Bytes that do not fit one chunk are split. The arrival of each part is counted back.
         for begin in range(0, len(data), CHUNK_MAX):
             part = data[begin : begin + CHUNK_MAX]
             behind = len(data) - begin - len(part)
@@ -163,9 +190,9 @@ class RecordingWriter(Uncopied):
         self._last_ns = now_ns
 
     def poll(self, now_ns: int) -> None:
-        """Close a chunk that is 250 ms old, and write through once a second."""
+        """Close the chunk if it is 250 ms old, and sync if the last sync is a second ago."""
         self._check_usable()
-        # A clock that was set back counts as late, here and below.
+        # Here and below: if the clock was set back, the time is over, too.
         if not 0 <= now_ns - self._first_ns < CHUNK_NS:
             self._close_chunk()
         if self._syncs and not 0 <= now_ns - self._synced_ns < _SYNC_NS:
@@ -174,13 +201,13 @@ class RecordingWriter(Uncopied):
             self._look_at_name()
 
     def sync(self) -> None:
-        """Close the chunk, and write everything through to the disk."""
+        """Write the open chunk, and sync everything to the disk."""
         self._check_usable()
         self._close_all()
         self._write_through()
 
     def close(self) -> None:
-        """Write what is open, the interface's statistics, and through to the disk."""
+        """Write the open chunk and the interface's statistics, sync, and close the file."""
         try:
             if self._usable:
                 self._close_all()
@@ -200,8 +227,8 @@ class RecordingWriter(Uncopied):
     def _add(self, part: memoryview | bytes, arrival_ns: int) -> None:
         """Put a part into the open chunk, or into a new one if it does not fit."""
         held = len(self._room) - _HEAD_LEN
-        # When a byte at the start of the chunk would have come for this part to come when it
-        # did. Differences between parts are the errors that counting back makes.
+        # The start of the chunk, counted back from the arrival of this part. Where two parts
+        # differ in it, counting back is wrong by the difference.
         shift = arrival_ns - (held + len(part)) * self.info.byte_ns
         if held and (
             held + len(part) > CHUNK_MAX
@@ -227,12 +254,12 @@ class RecordingWriter(Uncopied):
         self._notes = []
 
     def _close_chunk(self) -> None:
-        """Write the open chunk, if there are bytes in it."""
+        """Write the open chunk if it has bytes."""
         if len(self._room) > _HEAD_LEN:
             self._write_chunk()
 
     def _close_all(self) -> None:
-        """Write the open chunk, if it has anything to tell."""
+        """Write the open chunk if it has bytes, lost bytes or notes."""
         if len(self._room) > _HEAD_LEN or self._lost or self._notes:
             self._write_chunk()
 
@@ -258,24 +285,24 @@ class RecordingWriter(Uncopied):
         self._new_chunk()
 
     def _write_block(self, block: bytes | bytearray) -> None:
-        """Write a block by one call, or leave the file as it was."""
+        """Write a block by one call of the system. After an error the file is as it was before."""
         try:
             with self._naming():
                 done = os.write(self._fd, block)
-                # The system says why it took a part only when it is asked again.
+                # If only a part was written, the next call gets the error that is the reason.
                 while done < len(block):
                     done += os.write(self._fd, memoryview(block)[done:])
         except BaseException:
             self._usable = False
             self._cut()
             with contextlib.suppress(OSError):
-                self._write_through()  # the blocks before it
+                self._write_through()  # for the blocks before this one
             raise
         self._whole += len(block)
         self._dirty = True
 
     def _cut(self) -> None:
-        """Take the part of a block off the file's end."""
+        """Remove a part of a block from the end of the file."""
         try:
             os.ftruncate(self._fd, self._whole)
             os.lseek(self._fd, self._whole, os.SEEK_SET)
@@ -288,18 +315,18 @@ class RecordingWriter(Uncopied):
         self._dirty = False
         try:
             with self._naming():
-                # Without the time of the last change, where the system knows the difference.
+                # fdatasync, if the system has it, does not wait for the file's times.
                 getattr(os, "fdatasync", os.fsync)(self._fd)
         except OSError as error:
             if error.errno not in _NO_SYNC:
-                # The system may have dropped what it could not write. It tells that once: a
-                # second call would succeed.
+                # The system may have dropped what it could not write. It reports that only once:
+                # a second call would succeed, without the data on the disk.
                 self._usable = False
                 raise
         self.bytes_synced = self.bytes_written
 
     def _look_at_name(self) -> None:
-        """See whether the path is still the name of the file."""
+        """Check whether the path is still the name of the file."""
         if self.identity is not None and self._path is not None:
             self.vanished = self.vanished or not _names_file(self._path, self.identity)
             self.identity = os.fstat(self._fd)
@@ -307,7 +334,7 @@ class RecordingWriter(Uncopied):
 
     @contextlib.contextmanager
     def _naming(self) -> Iterator[None]:
-        """Let an error name the file."""
+        """Put the path into an OSError that has none."""
         try:
             yield
         except OSError as error:
@@ -316,7 +343,7 @@ class RecordingWriter(Uncopied):
             raise
 
     def _statistics(self) -> bytes:
-        """Return the block that ends a recording that was closed."""
+        """Return the interface statistics, the last block of a recording that was closed."""
         times = () if self._times is None else zip((_START, _END), self._times, strict=True)
         options = [(code, _split_time(ts)) for code, ts in times]
         options.append((_RECEIVED, struct.pack("<Q", self.bytes_written)))
@@ -326,7 +353,7 @@ class RecordingWriter(Uncopied):
 
 
 def _names_file(path: str | Path, file: os.stat_result) -> bool:
-    """Return whether a path is the name of a file. Where that cannot be told it is."""
+    """Return whether a path is the name of a file; True if that cannot be found out."""
     try:
         return os.path.samestat(os.stat(path), file)  # noqa: PTH116
     except OSError as error:
@@ -334,7 +361,7 @@ def _names_file(path: str | Path, file: os.stat_result) -> bool:
 
 
 def _sum_lost(before: int, more: int) -> int:
-    """Return the sum of two numbers of lost bytes, -1 if one is not known."""
+    """Return the sum of two numbers of lost bytes, -1 if one of them is not known."""
     return -1 if before < 0 or more < 0 else before + more
 
 
