@@ -19,7 +19,7 @@ __all__ = ["Sender", "pace_argument"]
 # A line that takes or sends no byte for this time is taken to be broken.
 _PATIENCE_S: Final = 10.0
 
-# Interval at which a slow line is looked at, and the wish to end is asked for.
+# Interval at which the progress of a slow line is checked, and `wanted` is called.
 _LOOK_S: Final = 0.1
 
 
