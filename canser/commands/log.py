@@ -190,7 +190,7 @@ class _Reporter:
         self._messages = messages
         self._objects = Lines(sys.stdout.fileno(), self._fail) if as_json else None
         self._lines = self._objects or messages
-        # None where machines read.
+        # None with --json.
         self.status = None if as_json else StatusLine(messages, sys.stderr.fileno())
         self._due = time.monotonic() + _STATUS_EVERY_S
 
