@@ -42,7 +42,7 @@ __all__ = ["add"]
 # Length of the generated traffic, which then repeats.
 _ROUND_S = 60.0
 
-# Frames of it in one array: a copy of so many takes less than 0.1 ms.
+# Frames in one array of this traffic: their copy takes less than 0.1 ms.
 _PART = 4096
 
 # Interval at which the command looks at its simulator.
