@@ -24,11 +24,8 @@ ROW_DTYPE: Final[np.dtype[np.void]] = np.dtype(
         ("data", np.uint8, (8,)),
         ("ts", np.int64),
         ("count", np.int64),
-        (
-            "changed",
-            np.int64,
-            (8,),
-        ),  # per byte the ts of the frame that last changed it, or NO_TIME
+        # For each byte the ts of the frame that last changed it, or NO_TIME.
+        ("changed", np.int64, (8,)),
         ("period", np.float64),  # nanoseconds, NaN if unknown
         ("jitter", np.float64),  # nanoseconds, NaN if unknown
         ("rate", np.float64),  # frames a second, NaN if unknown
