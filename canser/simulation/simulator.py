@@ -85,7 +85,7 @@ class SimulatorReport:
     frames_untimed: int
     #: Bytes of `frames` before any fault.
     bytes_encoded: int
-    #: Of `bytes_encoded`, those that faults have removed.
+    #: Of `bytes_encoded`, those lost by noise or loss, or in a frame that an unplugging has cut.
     bytes_lost: int
     #: Bytes that noise has inserted.
     bytes_inserted: int
