@@ -502,7 +502,7 @@ def test_the_help_says_what_the_options_promise(capfd: pytest.CaptureFixture[str
         main(["log", "--help"])
     text = " ".join(capfd.readouterr().out.split())
     assert "--before TIME record at least this time before a trigger" in text
-    assert "rotation: OUT run.pcapng is then run-000001.pcapng" in text
+    assert "rotation: with --size or --time, OUT run.pcapng becomes run-000001.pcapng" in text
 
 
 # The old file that --force replaces

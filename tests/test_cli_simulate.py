@@ -412,7 +412,7 @@ def test_one_that_needs_time_tells_what_it_ignored(tmp_path: Path) -> None:
     assert report["controls"]["configuration"] == 1
     assert (
         f"from the host, and ignored: {report['bytes_ignored']:,} bytes while deaf, "
-        "packets behind a configuration 1"
+        "packets after a configuration 1"
     ) in said
 
 
@@ -433,7 +433,7 @@ ERRORS = {
     "seconds of a file": (
         ["-p", "seeed", "--traffic", "empty.bin", "--seconds", "1"],
         BAD_CALL,
-        "--seconds is for traffic that is made",
+        "--seconds is for generated traffic",
     ),
     "traffic has no times": (
         ["-p", "seeed", "--traffic", "few.bin", "--pace", "traffic"],
@@ -443,7 +443,7 @@ ERRORS = {
     "baudrate of no line": (
         ["-p", "seeed", "--pace", "max", "--baudrate", "9600"],
         BAD_CALL,
-        "--baudrate is of --pace line, not max",
+        "--baudrate needs --pace line, not max",
     ),
     "loop of nothing": (["-p", "seeed", "--loop"], BAD_CALL, "--loop repeats a file"),
     "loop of a pipe": (

@@ -275,7 +275,7 @@ def test_filter_as_typed_kept_or_cancelled() -> None:
     async def test(screen: Screen) -> None:
         await screen.send(*(frames(i, b"a") for i in (0x101, 0x102, 0x201)))
         await screen.pilot.press("slash", *"10")
-        assert "digits alone: the first of an id" in [
+        assert "digits alone match the start of an id" in [
             str(each.content) for each in screen.app.query("#filter Static").results(Static)
         ]
         assert screen.ids() == ["101", "102"]

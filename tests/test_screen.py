@@ -66,11 +66,11 @@ def test_lines_go_above_what_stands() -> None:
     reader, writer = os.pipe()
     clear = "\r\x1b[K"
     with Lines(writer) as lines:
-        lines.stand("50 %")
+        lines.show_status("50 %")
         assert os.read(reader, 100).decode() == f"{clear}50 %"
         lines.put("news")
         assert os.read(reader, 100).decode() == f"{clear}news\n50 %"
-        lines.stand("")
+        lines.show_status("")
         assert os.read(reader, 100).decode() == clear
         lines.put("end")
         assert os.read(reader, 100).decode() == "end\n"

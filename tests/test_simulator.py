@@ -805,7 +805,7 @@ def test_wrong_arguments(wrong: dict[str, object], message: str) -> None:
     [
         ({"noise": 1.5}, "noise is 1.5"),
         ({"loss": float("nan")}, "loss is nan"),
-        ({"stalls": [(1, -1)]}, "stalls are"),
+        ({"stalls": [(1, -1)]}, "stalls is"),
         ({"unplug_after": -1}, "unplug_after is -1"),
     ],
 )

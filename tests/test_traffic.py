@@ -175,7 +175,7 @@ def test_bytes_are_lost_in_runs() -> None:
 
 @pytest.mark.parametrize("share", [-0.1, 1.1, float("nan")])
 def test_a_share_is_from_0_to_1(share: float) -> None:
-    with pytest.raises(ValueError, match=f"noise is {share}; it is a share"):
+    with pytest.raises(ValueError, match=f"noise is {share}; it must be a share"):
         damage(CLEAN, noise=share)
-    with pytest.raises(ValueError, match=f"loss is {share}; it is a share"):
+    with pytest.raises(ValueError, match=f"loss is {share}; it must be a share"):
         damage(CLEAN, loss=share)

@@ -1,23 +1,23 @@
-"""Private: the commands of `canser`, one module each, loaded when it is called.
+"""Private: the commands of `canser`, one module each, loaded when the command is called.
 
-A command has `add(commands)`, which adds its parser with what it runs as `run`: a function
-of the arguments that returns the exit code.
+The function `add(commands)` of a module adds the parser of its command. The default `run` of the
+parser is a function of the arguments that returns the exit code.
 """
 
 from typing import Final
 
 __all__ = ["COMMANDS"]
 
-# What each does, in the order in which the help names them.
+# The name and the help of each command, in the order of the help.
 COMMANDS: Final = {
-    "convert": "raw bytes or a recording to .npy, .csv or candump .log, and back",
-    "info": "frames, times, ids, rates, skipped bytes; without -p, which protocol fits best",
-    "dump": "print frames as candump does",
+    "convert": "convert raw bytes or a recording to .npy, .csv or candump .log, and back",
+    "info": "show frames, times, ids, rates and skipped bytes; without -p, find the protocol",
+    "dump": "print frames in the format of candump",
     "log": "record the bytes of a port, with their times, in pcapng files",
-    "monitor": "show the live table of a port, by id",
-    "play": "send the frames of a file at their recorded times",
-    "send": "send frames",
-    "simulate": "simulate an adapter on a pseudo terminal: no hardware needed",
+    "monitor": "show a live table of a port, with a row for each id",
+    "play": "send the frames of a file to a port at their recorded times",
+    "send": "send single frames to a port",
+    "simulate": "simulate an adapter on a pseudo terminal, without hardware",
     "ports": "list the serial ports that are plugged in",
-    "recover": "copy the intact part of a torn or damaged recording, and say what is left out",
+    "recover": "copy the intact part of a damaged recording, and report what is left out",
 }

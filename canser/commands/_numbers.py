@@ -1,7 +1,7 @@
-"""The numbers that options take: ASCII digits only, within limits. Each is a type for argparse.
+"""The numbers that options take: ASCII digits within limits. Each function is an argparse type.
 
-int() and float() also read `1_000`, ` 5 `, `nan` and the digits of other scripts, which are
-typing errors here.
+int() and float() also accept `1_000`, ` 5 `, `nan` and the digits of other scripts. In an option
+these are typing errors.
 """
 
 import math
@@ -16,13 +16,13 @@ from canser.files.selection import Moment
 
 __all__ = ["byte_count", "date", "duration", "moment", "real", "whole"]
 
-# More digits than a count of anything has.
+# No count needs more digits. int() refuses more than 4,300 digits, with an error of its own.
 _DIGITS_MOST: Final = 30
 
 _WHOLE: Final = re.compile(f"-?[0-9]{{1,{_DIGITS_MOST}}}")
 _REAL: Final = re.compile(r"-?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 
-# A date and a time of day, seconds and their fraction at will, and the offset from UTC.
+# A date and a time of day; seconds, their fraction and the offset from UTC are optional.
 _DATE: Final = re.compile(
     r"(?P<seconds>[0-9]{4}-[0-9]{2}-[0-9]{2}[T ][0-9]{2}:[0-9]{2}(?::[0-9]{2})?)"
     r"(?:\.(?P<fraction>[0-9]{1,9}))?(?P<offset>Z|[+-][0-9]{2}:[0-9]{2})?"
@@ -88,7 +88,7 @@ def _no_number(text: str, wanted: str) -> ArgumentTypeError:
 
 
 def date(text: str) -> int:
-    """Return the nanoseconds since 1970 of a date and time; UTC where it has no offset."""
+    """Return the nanoseconds since 1970 of a date and time, in UTC unless it has an offset."""
     found = _DATE.fullmatch(text)
     try:
         if found is None:
@@ -96,15 +96,15 @@ def date(text: str) -> int:
         moment = datetime.fromisoformat(found["seconds"] + (found["offset"] or "+00:00"))
     except ValueError:
         raise ArgumentTypeError(
-            f"cannot read the date {text!r}; write 2026-11-26T08:00:00, with +01:00 behind it "
-            "where it is not UTC"
+            f"cannot read the date {text!r}; write 2026-11-26T08:00:00, with an offset such as "
+            "+01:00 at its end if it is not UTC"
         ) from None
     fraction = int((found["fraction"] or "").ljust(9, "0"))
     return int(moment.timestamp()) * 10**9 + fraction
 
 
 def moment(text: str) -> Moment:
-    """Return a time in a stream: a date, or a time from the first frame on."""
+    """Return a time in a stream: a date, or a time after the first frame."""
     if is_duration(text):
         return Moment(round(duration(text) * 1e9), from_first=True)
     try:

@@ -1,4 +1,4 @@
-"""What the commands share: the parser, exit codes, errors, messages."""
+"""The parser, exit codes, errors and messages that all commands share."""
 
 import argparse
 import sys
@@ -23,30 +23,30 @@ __all__ = [
     "write_line",
 ]
 
-# Exit codes.
+# Exit codes: success; the data is bad; the call is wrong.
 GOOD, BAD_DATA, BAD_CALL = 0, 1, 2
 
-# Where a command adds its parser.
+# The object that argparse's `add_subparsers` returns; its class is private.
 Commands = Any
 
 
 class CallError(Exception):
-    """The call is wrong; the message says what and the remedy."""
+    """The call is wrong; the message gives the fault and the remedy."""
 
 
 class DataError(Exception):
-    """The data is bad; the message says what and the remedy."""
+    """The data is bad; the message gives the fault and the remedy."""
 
 
 class Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line."""
 
     def error(self, message: str) -> NoReturn:
-        """End the program with a line that says what is wrong."""
+        """End the program with one line that gives the fault."""
         self.exit(BAD_CALL, f"{self.prog}: {message}; see {self.prog} --help\n")
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        # A help or a version: `show` tells of a standard output that is full or closed.
+        # The help or the version. `show` reports a standard output that is full or closed.
         if file is not None and file is not sys.stderr:
             show(message.splitlines())
         else:
@@ -61,7 +61,7 @@ def add_command(
     run: Callable[[argparse.Namespace], int],
     parents: Sequence[argparse.ArgumentParser] = (),
 ) -> argparse.ArgumentParser:
-    """Add a command, with its line of help and its examples; return its parser."""
+    """Add a command with its help and its examples; return its parser."""
     about = COMMANDS[name]
     parser: argparse.ArgumentParser = commands.add_parser(
         name,
@@ -76,18 +76,18 @@ def add_command(
 
 
 def show(lines: Iterable[str]) -> None:
-    """Print lines on the standard output."""
+    """Print lines on standard output."""
     with standard_output() as out:
         out.write("".join(f"{line}\n" for line in lines).encode())
 
 
 def write_line(text: str) -> None:
-    """Print a line on standard error: standard output is for the data."""
+    """Print a line on standard error; standard output is for data only."""
     print(text, file=sys.stderr)
 
 
 def protocol_name(name: str) -> str:
-    """Return the protocol's own name of a spelling."""
+    """Return the name of the protocol that a spelling means."""
     try:
         return protocol(name).name
     except ValueError as error:

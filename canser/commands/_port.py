@@ -1,4 +1,4 @@
-"""The arguments that name a live port, and how one is opened by them."""
+"""The arguments that name a live port, and the opening of that port."""
 
 import argparse
 import re
@@ -20,12 +20,12 @@ __all__ = ["duration_arguments", "open_port", "port_arguments", "port_options"]
 _HEX: Final = "(?:0[xX])?([0-9A-Fa-f]{1,8})"
 _ADAPTER_FILTER: Final = re.compile(f"{_HEX}:{_HEX}")
 
-# What a system call takes for a rate of the line: 31 bits.
+# The largest rate that the system calls take: a positive signed integer of 32 bits.
 _BAUDRATE_MOST: Final = (1 << 31) - 1
 
 
 def port_arguments() -> argparse.ArgumentParser:
-    """Return the arguments that name a port and say how its adapter is set."""
+    """Return the arguments that name a port and configure its adapter."""
     port = Parser(add_help=False)
     group = port.add_argument_group("the port")
     group.add_argument(
@@ -33,89 +33,97 @@ def port_arguments() -> argparse.ArgumentParser:
         "--channel",
         metavar="URL",
         required=True,
-        help="a device such as /dev/ttyUSB0, or socket://HOST:PORT, rfc2217://HOST:PORT",
+        help="port: a device such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, or "
+        "rfc2217://HOST:PORT",
     )
     group.add_argument(
         "-p",
         "--protocol",
         type=protocol_name,
         required=True,
-        help=f"what the adapter speaks: {', '.join(protocols())}",
+        help=f"protocol of the adapter: {', '.join(protocols())}",
     )
     group.add_argument(
         "--baudrate",
         type=whole(least=1, most=_BAUDRATE_MOST),
-        help="of the line (default: the protocol's own)",
+        help="rate of the serial line in bit/s (default: that of the adapters of the protocol)",
     )
     for line, what in (("--dtr", "Data Terminal Ready"), ("--rts", "Request To Send")):
         group.add_argument(
             line,
             choices=LEVELS,
             default="leave",
-            help=f"the modem line {what} at opening; some boards reset, or do not send, by its "
-            "level (default: leave, as the system sets it: on)",
+            help=f"level of the modem line {what} when the port is opened; some boards reset, or "
+            "do not send, at one of the levels (default: leave; the system sets it on)",
         )
     group.add_argument(
         "--bitrate",
         type=whole(least=1),
-        help="of the CAN bus in bit/s: the adapter is set to it where it can be; a load of the "
-        "bus is shown by it, without stuff bits",
+        help="bit rate of the CAN bus in bit/s; the adapter is configured to it if the protocol "
+        "allows that, and a bus load is computed from it, without stuff bits (default: the "
+        "adapter is not configured)",
     )
     group.add_argument(
         "--mode",
         choices=adapters.MODE_NAMES,
-        help="of the adapter, with --bitrate (default: normal)",
+        help="mode of the adapter; needs --bitrate (default: normal)",
     )
     group.add_argument(
         "--frame-type",
         choices=adapters.FRAME_TYPES,
-        help="frames that the adapter passes on, with --bitrate (default: all)",
+        help="frames that the adapter passes on; needs --bitrate (default: all)",
     )
     group.add_argument(
         "--adapter-filter",
         metavar="ID:MASK",
         type=_adapter_filter,
-        help="frames that the adapter passes on, with --bitrate; hexadecimal, such as 123:7FF "
-        "(default: all)",
+        help="the adapter passes on frames whose id equals ID in the bits of MASK, both in "
+        "hexadecimal, such as 123:7FF; needs --bitrate (default: all frames)",
     )
     group.add_argument(
         "--once",
         action="store_true",
         default=None,
-        help="the adapter sends each frame once, acknowledged or not; with --bitrate",
+        help="let the adapter send each frame once, even if it is not acknowledged; needs "
+        "--bitrate (default: it repeats such a frame)",
     )
     group.add_argument(
         "--ts-unit",
         choices=TS_UNITS,
         default="ms",
-        help="unit of the device's timestamps (default: ms)",
+        help="unit of the timestamps of the device (default: ms)",
     )
     return port
 
 
 def duration_arguments() -> argparse.ArgumentParser:
-    """Return the arguments of commands that stay at a port."""
-    staying = Parser(add_help=False)
-    group = staying.add_argument_group("duration and reconnect")
+    """Return the arguments of commands that read a port for a long time."""
+    lasting = Parser(add_help=False)
+    group = lasting.add_argument_group("duration and reconnect")
     group.add_argument(
         "--reconnect",
         action="store_true",
-        help="when the device is gone wait for it, and go on; the gap is reported",
+        help="wait for a device that is gone, and go on when it is back; the gap is reported "
+        "(default: end)",
     )
     group.add_argument(
         "--ping",
         metavar="TIME",
         type=duration,
-        help="ping the adapter so often, and search the stream anew when it does not answer",
+        help="send a ping to the adapter at this interval, such as 1s; without an answer, search "
+        "the stream for the next packet anew (default: no pings)",
     )
     group.add_argument(
-        "--duration", metavar="TIME", type=duration, help="end after that time, such as 90s, 8h"
+        "--duration",
+        metavar="TIME",
+        type=duration,
+        help="end after this time, such as 90s or 8h (default: no limit)",
     )
-    return staying
+    return lasting
 
 
 def port_options(args: argparse.Namespace) -> PortOptions:
-    """Return what the arguments ask of a port, as keywords of `canser.open`."""
+    """Return the keywords of `canser.open` that the arguments mean."""
     return {
         "config": _adapter_config(args),
         "line": LineConfig(
@@ -130,9 +138,9 @@ def port_options(args: argparse.Namespace) -> PortOptions:
 
 
 def open_port(args: argparse.Namespace, stop: Stop | None = None) -> Port:
-    """Open the port that the arguments name; CallError where that cannot be.
+    """Open the port that the arguments name; CallError if that is not possible.
 
-    A signal meanwhile is a KeyboardInterrupt, whether `stop` takes signals or not.
+    A signal during the opening raises KeyboardInterrupt, even if `stop` takes signals.
     """
     stop = Stop() if stop is None else stop
     stop.interrupts = True
@@ -147,7 +155,7 @@ def open_port(args: argparse.Namespace, stop: Stop | None = None) -> Port:
 
 
 def _adapter_config(args: argparse.Namespace) -> AdapterConfig | None:
-    """Return how the adapter is to be configured; None if it is not to be."""
+    """Return the configuration of the adapter; None to leave the adapter as it is."""
     filter_id, filter_mask = args.adapter_filter or (None, None)
     options = {
         "bitrate": args.bitrate,
@@ -159,7 +167,7 @@ def _adapter_config(args: argparse.Namespace) -> AdapterConfig | None:
     }
     given = {name: value for name, value in options.items() if value is not None}
     if given.keys() == {"bitrate"} and not protocol(args.protocol).configures:
-        return None  # The bitrate of an adapter that takes none is for the load of the bus only.
+        return None  # The adapter cannot be configured; its bit rate is for the bus load only.
     return flat_config(given)
 
 

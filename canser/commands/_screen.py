@@ -1,4 +1,4 @@
-"""What a command that runs on tells meanwhile: a status line, messages, lines for machines."""
+"""The output of a command while it runs: a status line, messages, lines for machines."""
 
 import contextlib
 import os
@@ -20,21 +20,24 @@ if sys.platform != "win32":
 
 __all__ = ["PATIENCE_S", "Lines", "StatusLine", "fit", "warnings_as_lines"]
 
-# Lines that wait for their reader: the newest are kept, so many.
+# Lines that may wait for their reader. Above this number the oldest are dropped.
 _KEPT: Final = 10_000
 
-# A pipe takes this many bytes as one, as soon as its reader has made room for them.
+# Bytes written at once: a pipe takes up to PIPE_BUF bytes (4096 on Linux, pipe(7)) undivided, as
+# soon as its reader has made room for them.
 _PART_BYTES: Final = 4096
 
-# The end waits for a reader that is slow, but not for one that takes nothing for so long.
+# At the end of a command a slow reader is waited for, until it has read nothing for this time.
 PATIENCE_S: Final = 5.0
+
+# Interval at which the end looks at the reader.
 _LOOK_S: Final = 0.1
 
-# A descriptor that does not block is tried again after this time.
+# A non-blocking descriptor without room is tried again after this time.
 _RETRY_S: Final = 0.05
 
-# The time between two status lines at least: where a line can be rewritten, and where each is a
-# line of its own.
+# Least time between two status lines: on a terminal, which rewrites the line, and elsewhere, where
+# each is a new line.
 _REWRITE_S: Final = 0.25
 _REPEAT_S: Final = 10.0
 
@@ -42,27 +45,27 @@ _CLEAR: Final = "\r\x1b[K"
 
 
 class Lines:
-    """Write lines to a descriptor, from a thread of its own; a context manager.
+    """Write lines to a descriptor from a separate thread; a context manager.
 
-    A terminal that is stopped by Ctrl-S, or a pipe that is not read, would hold up a writer,
-    and so lose what comes over a serial line. Here lines queue up: the newest are kept, and
-    `dropped` counts the others. The end waits until all lines are written, as long as some are
-    read: `unread` tells that it has given up.
+    Otherwise a terminal stopped by Ctrl-S, or a pipe that is not read, would block the command,
+    and bytes of the serial line would be lost. Here lines wait in a queue: the newest are kept,
+    and `dropped` counts the others. The end of the block waits until all lines are written, as
+    long as the reader reads. `unread` is True if the end has given up waiting.
 
-    After an error of the descriptor nothing more is written; `error` has it.
+    After an error of the descriptor nothing more is written; `error` holds that error.
     """
 
     def __init__(
         self, fd: int | None, on_error: Callable[[OSError], None] = lambda _: None
     ) -> None:
-        """`fd`: None for lines without a reader; `on_error`: is called by the thread."""
+        """`fd`: None to write nothing; `on_error`: called by the thread."""
         self.dropped = 0
         self.unread = False
         self.error: OSError | None = None
         self._fd, self._on_error = fd, on_error
         self._lines: deque[str] = deque()
-        self._passing: str | None = None  # a line without an end, not shown yet
-        self._shown = ""  # the one that stands there
+        self._next_status: str | None = None  # the status line to show next, without an end
+        self._status = ""  # the status line that is shown
         self._written = 0  # bytes
         self._came = threading.Condition()
         self._closing = False
@@ -87,7 +90,7 @@ class Lines:
             self._thread.join(_LOOK_S)
 
     def put(self, line: str, *, last: bool = False) -> None:
-        """Write a line. `last`: one of the last lines, for which no other is dropped."""
+        """Write a line. `last`: one of the last lines; it drops no other line."""
         with self._came:
             if self.error is not None:
                 return
@@ -97,10 +100,10 @@ class Lines:
                 self.dropped += 1
             self._came.notify()
 
-    def stand(self, text: str) -> None:
-        """Let a text stand below the lines, instead of the last one; for terminals."""
+    def show_status(self, text: str) -> None:
+        """Show a status line below all lines, in place of the one before; for terminals."""
         with self._came:
-            self._passing = text
+            self._next_status = text
             self._came.notify()
 
     def _run(self) -> None:
@@ -115,20 +118,20 @@ class Lines:
     def _write_all(self) -> None:
         while True:
             with self._came:
-                while not (self._lines or self._passing is not None or self._closing):
+                while not (self._lines or self._next_status is not None or self._closing):
                     self._came.wait()
                 text = self._take()
             if self._fd is not None:
                 self._write(self._fd, text.encode("utf-8", "backslashreplace"))
             with self._came:
-                if self._closing and not self._lines and self._passing is None:
+                if self._closing and not self._lines and self._next_status is None:
                     return
 
     def _write(self, fd: int, data: bytes) -> None:
         at = 0
         while at < len(data):
             try:
-                # Not through sys.stderr: its lock would hold up the end of the program.
+                # Not through sys.stderr: its lock would block the end of the program.
                 done = os.write(fd, data[at : at + _PART_BYTES])
             except BlockingIOError:
                 time.sleep(_RETRY_S)
@@ -139,16 +142,16 @@ class Lines:
     def _take(self) -> str:
         text = "".join(f"{line}\n" for line in self._lines)
         self._lines.clear()
-        standing = self._shown if self._passing is None else self._passing
-        self._passing = None
-        if self._shown or standing:
-            text = f"{_CLEAR}{text}{standing}"
-        self._shown = standing
+        status = self._status if self._next_status is None else self._next_status
+        self._next_status = None
+        if self._status or status:
+            text = f"{_CLEAR}{text}{status}"
+        self._status = status
         return text
 
 
 def _in_pipe(fd: int | None) -> int:
-    """Return how many bytes in a pipe are not read yet; 0 where that is not known."""
+    """Return the number of unread bytes in a pipe; 0 if it is unknown."""
     if sys.platform != "win32" and fd is not None and stat.S_ISFIFO(os.fstat(fd).st_mode):
         count = array("i", [0])
         with contextlib.suppress(OSError):
@@ -158,7 +161,7 @@ def _in_pipe(fd: int | None) -> int:
 
 
 class StatusLine:
-    """A line that tells how things stand: rewritten on a terminal, else written now and then."""
+    """A line with the present counters: rewritten on a terminal, elsewhere written every 10 s."""
 
     def __init__(self, lines: Lines, fd: int | None) -> None:
         self._lines, self._fd = lines, fd
@@ -168,21 +171,21 @@ class StatusLine:
 
     @property
     def due(self) -> bool:
-        """Whether it is time to show it again."""
+        """Whether it is time to show the line again."""
         return time.monotonic() >= self._due
 
     def show(self, parts: Sequence[str]) -> None:
-        """Show it, as many parts as fit into the terminal's width."""
+        """Show the line: as many parts as fit into the width of the terminal."""
         self._due = time.monotonic() + self._every
         if self._terminal:
-            self._lines.stand(fit(parts, self._columns()))
+            self._lines.show_status(fit(parts, self._columns()))
         else:
             self._lines.put("  ".join(parts))
 
     def clear(self) -> None:
-        """Let no status line stand."""
+        """Remove the status line."""
         if self._terminal:
-            self._lines.stand("")
+            self._lines.show_status("")
 
     def _columns(self) -> int:
         assert self._fd is not None
@@ -192,10 +195,10 @@ class StatusLine:
 
 
 def fit(parts: Sequence[str], columns: int) -> str:
-    """Return the parts in one line, as many from the front as fit, whole.
+    """Return the first parts in one line, as many as fit whole.
 
-    Two blanks lie between them, one where more of them fit so. One column stays free: some
-    terminals wrap a line that is full.
+    Two blanks separate the parts, or one blank if more parts fit then. The last column stays
+    free, because some terminals wrap a full line.
     """
     wide, narrow = _joined(parts, "  ", columns - 1), _joined(parts, " ", columns - 1)
     return narrow if len(narrow.split()) > len(wide.split()) else wide
@@ -211,12 +214,12 @@ def _joined(parts: Sequence[str], blanks: str, columns: int) -> str:
 
 
 @contextlib.contextmanager
-def warnings_as_lines(tell: Callable[[str], None]) -> Iterator[None]:
-    """Let the warnings of this package be told, each as a line."""
+def warnings_as_lines(write: Callable[[str], None]) -> Iterator[None]:
+    """Write each warning of this package as a line."""
 
     def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
         if issubclass(category, CanserWarning):
-            tell(str(message))
+            write(str(message))
         else:
             before(message, category, *place)
 

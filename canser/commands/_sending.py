@@ -1,4 +1,4 @@
-"""Frames to a port, and how many of them the line has sent for sure."""
+"""Sending frames to a port, and counting those that the line has certainly sent."""
 
 import argparse
 import time
@@ -16,31 +16,32 @@ from canser.live.ports import Port
 
 __all__ = ["Sender", "pace_argument"]
 
-# A line that takes or sends nothing for so long, in seconds, does not work.
+# A line that takes or sends no byte for this time is taken to be broken.
 _PATIENCE_S: Final = 10.0
 
-# Seconds between two looks at a slow line: whether anything goes out, and the wish to end.
+# Interval at which the progress of a slow line is checked, and `wanted` is called.
 _LOOK_S: Final = 0.1
 
 
 def pace_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the argument that switches the pacing off."""
+    """Add the argument that switches pacing off."""
     parser.add_argument(
         "--no-pace",
         dest="pace",
         action="store_false",
-        help="send as fast as the line takes frames (default, where --bitrate sets the adapter: at "
-        "most 16 frames ahead of what the bus carries; an adapter throws away what it has no "
-        "room for)",
+        help="send as fast as the serial line takes frames; an adapter throws away frames for "
+        "which it has no room (default, if --bitrate configures the adapter: at most 16 frames "
+        "ahead of what the bus carries)",
     )
 
 
 class Sender:
-    """Send frames to a port. DataError, with the counts, where the line does not send them.
+    """Send frames to a port; DataError, with the counts, if the line does not send them.
 
-    `wanted`: asked ten times a second whether to go on. `pace`: as for `Port.send`. `sent`:
-    frames that the line has sent for sure. Frames that the system holds are not among them; a
-    pseudo terminal does not tell what it holds, and all that it has taken counts as sent.
+    `wanted`: returns whether to go on; called ten times a second. `pace`: as for `Port.send`.
+    `sent`: the number of frames that the line has certainly sent. Frames that the system still
+    holds are not counted. A pseudo terminal does not report the bytes that it holds, so all
+    bytes that it has taken count as sent.
     """
 
     def __init__(
@@ -48,23 +49,23 @@ class Sender:
     ) -> None:
         self._port, self._wanted, self._pace = port, wanted, pace
         self.sent = 0
-        # What the line has taken behind these frames, and how much of it is not known to be sent.
+        # Frames that the line has taken and perhaps not sent: their number and bytes, per call.
         self._held: deque[tuple[int, bytes]] = deque()
         self._held_len = self._unsent_len = 0
 
     def wait_listening(self) -> None:
-        """Wait until the adapter listens, or the wish to end."""
+        """Wait until the adapter listens, or until `wanted` returns False."""
         while self._wanted():
             try:
                 self._port.send([], timeout=_LOOK_S)
             except SendTimeoutError:
                 continue
             except PortError:
-                pass  # the first frame will tell
+                pass  # sending the first frame reports the error
             return
 
     def send(self, frames: FrameArray) -> None:
-        """Send frames; return when the line has taken them, or they are not wanted any more."""
+        """Send frames; return when the line has taken them, or when `wanted` returns False."""
         moved_at = time.monotonic()
         while len(frames) and self._wanted():
             try:
@@ -84,7 +85,7 @@ class Sender:
                 raise self._failed(f"{self._port.url} took nothing for {_PATIENCE_S:g} s")
 
     def drain(self) -> None:
-        """Wait until the line has sent all that it has taken."""
+        """Wait until the line has sent all bytes that it has taken."""
         moved_at, unsent_len = time.monotonic(), self._unsent_len
         try:
             while not self._port.drain(timeout=_LOOK_S):
@@ -98,10 +99,10 @@ class Sender:
         self._look()
 
     def _add(self, frames: FrameArray) -> None:
-        """Take note of frames that the line has taken."""
+        """Keep the bytes of frames that the line has taken."""
         if len(frames):
             timed = copy_records(frames)
-            timed["ts"] = 0  # a port gives times to those that have none
+            timed["ts"] = 0  # as a port does; a frame without a time cannot be encoded
             raw = encode(timed, self._port.protocol)
             self._held.append((len(frames), raw))
             self._held_len += len(raw)
@@ -109,7 +110,7 @@ class Sender:
             self._look()
 
     def _look(self) -> None:
-        """See how much the line has sent; what is known of a line that is gone stays."""
+        """Update the counters by what the line has sent; keep them if the line is gone."""
         try:
             self._unsent_len = min(self._port.bytes_unsent, self._held_len)
         except PortError:

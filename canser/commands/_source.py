@@ -1,4 +1,4 @@
-"""IN, the file that a command reads: its arguments, how it is opened, and what is told of it."""
+"""IN, the files that a command reads: arguments, opening, remarks, errors."""
 
 import argparse
 import contextlib
@@ -52,42 +52,45 @@ def source_arguments() -> argparse.ArgumentParser:
         "sources",
         metavar="IN",
         nargs="+",
-        help="a file, or - for standard input; several are one stream, in this order",
+        help="file to read, or - for standard input; several files are one stream, in this order",
     )
     source.add_argument(
         "-p",
         "--protocol",
         type=protocol_or_auto,
-        help=f"of raw bytes: {', '.join(protocols())}, or {AUTO}: the one that plainly fits "
-        "(a recording knows it)",
+        help=f"protocol of raw bytes: {', '.join(protocols())}, or {AUTO} for the one that fits "
+        "clearly (a recording names its protocol)",
     )
     source.add_argument(
         "--ts-unit",
         choices=TS_UNITS,
-        help="unit of the device's timestamps in raw bytes (default: ms; a recording knows it)",
+        help="unit of the timestamps of the device in raw bytes (default: ms; a recording names "
+        "its unit)",
     )
     source.add_argument(
         "--from",
         dest="source_format",
         metavar="FORMAT",
         type=format_name,
-        help=f"format of IN: {FORMATS} (default: by its content, else by its suffix, else raw "
-        "bytes)",
+        help=f"format of IN: {FORMATS} (default: by its content, otherwise by its suffix, "
+        "otherwise raw)",
     )
     bus_argument(source)
     source.add_argument(
-        "--sort", action="store_true", help="order all frames by their time, in memory"
+        "--sort",
+        action="store_true",
+        help="order all frames by their times; all must fit into memory (default: as in IN)",
     )
     as_is_argument(source)
     return source
 
 
-# The formats, as the help lists them.
+# The formats in the order of the help.
 FORMATS: Final = ", ".join(BUILT_IN)
 
 
 def format_name(name: str) -> str:
-    """Return the name of a format, of another package's too; the type of an option."""
+    """Return the name of a format, also of one that a plugin adds; an argparse type."""
     try:
         find_format(name)
     except ValueError as error:
@@ -96,11 +99,11 @@ def format_name(name: str) -> str:
 
 
 def bus_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the argument that names one bus of a log of several."""
+    """Add the argument that chooses one channel of a log."""
     parser.add_argument(
         "--bus",
         metavar="NAME",
-        help="only the frames of that channel of a log, such as can0 (default: all)",
+        help="read only the frames of this channel of a log, such as can0 (default: all)",
     )
 
 
@@ -108,32 +111,48 @@ def selection_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that choose frames."""
     group = parser.add_argument_group(
         "frames",
-        "TIME counts from the first frame, such as 500ms, 90s, 1h; or it is a date,\n"
-        "such as 2026-11-26T08:00:00 (UTC, or with its offset, +01:00)",
+        "TIME is a time after the first frame, such as 500ms, 90s or 1h, or a date\n"
+        "such as 2026-11-26T08:00:00 (UTC, unless an offset such as +01:00 follows)",
     )
-    group.add_argument("--start", metavar="TIME", type=moment, help="only frames from TIME on")
-    group.add_argument("--end", metavar="TIME", type=moment, help="only frames before TIME")
-    group.add_argument("--count", metavar="N", type=whole(least=1), help="only the first N frames")
+    group.add_argument(
+        "--start",
+        metavar="TIME",
+        type=moment,
+        help="take only frames at TIME or later (default: from the first)",
+    )
+    group.add_argument(
+        "--end",
+        metavar="TIME",
+        type=moment,
+        help="take only frames before TIME (default: to the last)",
+    )
+    group.add_argument(
+        "--count",
+        metavar="N",
+        type=whole(least=1),
+        help="take only the first N of the chosen frames (default: all)",
+    )
     group.add_argument(
         "--filter",
         dest="filters",
         metavar="FILTER",
         action="append",
         default=[],
-        help="only frames that pass: an id of up to three (standard) or of eight digits "
-        "(extended), ID:MASK, ID~MASK (inverse) or #MASK (error frames), hexadecimal; several: "
-        "any of them",
+        help="take only frames that match, in hexadecimal: an id of up to 3 digits (standard) or "
+        "of 8 digits (extended), ID:MASK, ID~MASK (inverse) or #MASK (error frames); given "
+        "several times, a frame must match one of them (default: all)",
     )
     group.add_argument(
         "--epoch",
         metavar="DATE",
         type=date,
-        help="when the first frame came: times that count from a device's start become dates",
+        help="date of the first frame; times that count from the start of the device become "
+        "dates (default: the times stay)",
     )
 
 
 def selection(args: argparse.Namespace) -> Selection:
-    """Return the frames that the arguments choose, or raise CallError."""
+    """Return the selection of frames that the arguments mean; CallError for a wrong filter."""
     try:
         match(np.empty(0, FRAME_DTYPE), *args.filters)
     except ValueError as error:
@@ -148,22 +167,22 @@ def selection(args: argparse.Namespace) -> Selection:
 
 
 def as_is_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the argument that accepts bytes which do not look like their protocol."""
+    """Add the argument that accepts bytes that do not look like their protocol."""
     parser.add_argument(
         "--as-is",
         action="store_true",
-        help="accept bytes of which most lie in no packet of the protocol, that look like another "
-        "format, or a recording that says another protocol",
+        help="accept raw bytes that are mostly outside packets of the protocol or look like "
+        "another format, and a recording of another protocol (default: refuse them)",
     )
 
 
 def protocol_or_auto(name: str) -> str:
-    """Return the protocol's own name of a spelling, or AUTO."""
+    """Return the name of the protocol that a spelling means, or AUTO."""
     return AUTO if is_auto(name) else protocol_name(name)
 
 
 def opened(paths: list[str]) -> list[Source]:
-    """Return the files of these names, "-" for the standard input, as `Blocks` takes them."""
+    """Return the files of these names as `Blocks` takes them; "-" is standard input."""
     return [_standard_input() if path == "-" else path for path in paths]
 
 
@@ -174,7 +193,7 @@ def _standard_input() -> BinaryIO:
 
 
 def read_options(args: argparse.Namespace) -> ReadOptions:
-    """Return how IN is to be read."""
+    """Return the options for reading IN."""
     return ReadOptions(protocol=args.protocol, ts_unit=args.ts_unit, bus=args.bus, as_is=args.as_is)
 
 
@@ -192,7 +211,7 @@ def open_source(args: argparse.Namespace, progress: Progress | None = None) -> B
 
 @contextlib.contextmanager
 def options_named(*, protocol: bool = True) -> Iterator[None]:
-    """Let errors of opening a file name the options that help; `protocol`: the protocol's, too."""
+    """Let errors of opening a file name the options that help; `protocol`: -p among them."""
     try:
         yield
     except NoProtocolError as error:
@@ -200,21 +219,21 @@ def options_named(*, protocol: bool = True) -> Iterator[None]:
             raise
         raise CallError(f"{error.looks}; give -p {' or -p '.join(error.choices)}") from None
     except WrongProtocolError as error:
-        raise CallError(f"{error.what}; leave -p out, or accept it by --as-is") from None
+        raise CallError(f"{error.what}; leave -p out, or accept it with --as-is") from None
     except ForeignFormatError as error:
         if error.option:
-            raise CallError(f"{error.what}; leave -p out, or read the bytes by --as-is") from None
+            raise CallError(f"{error.what}; leave -p out, or read the bytes with --as-is") from None
         raise
 
 
 def check_found(source: Blocks, *, as_is: bool) -> None:
-    """Raise DataError if the bytes are not of the protocol that they were read in."""
+    """Raise DataError if the bytes do not look like the protocol in which they were read."""
     if source.protocol is not None and source.stats is not None and not as_is:
         refuse_doubtful(source.name, source.protocol, source.stats, source.notes.doubt)
 
 
 def refuse_doubtful(name: str, protocol: str, stats: Stats, doubt: str) -> None:
-    """Raise DataError if there is a doubt that bytes are of a protocol, or no packet in them."""
+    """Raise DataError if the protocol of bytes is in doubt, or they hold no packet."""
     if doubt:
         raise DataError(f"{doubt}; --as-is accepts them")
     if stats.bytes_in and not stats.frames and not stats.controls:
@@ -224,6 +243,6 @@ def refuse_doubtful(name: str, protocol: str, stats: Stats, doubt: str) -> None:
 
 
 def write_remarks(source: Blocks) -> None:
-    """Print on standard error what is to be known of files."""
+    """Print the remarks on files on standard error."""
     for remark in source.notes.lines:
         write_line(remark)

@@ -1,4 +1,4 @@
-"""Frames that are to be sent: judged before they go out, for false ones do harm on a bus."""
+"""Files of frames to send, checked before: false frames would do harm on a bus."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -20,14 +20,16 @@ __all__ = ["TrafficFile"]
 
 
 class TrafficFile(Iterator[FrameArray]):
-    """Files of frames to send, "-" for the standard input; raw bytes are of `protocol`.
+    """The frames of files that are to be sent; "-" is standard input.
 
-    What raw bytes are is judged when they are opened: DataError unless they fit the protocol, as
-    `identify` tells by all of a file, or by the first 64 KiB of a pipe. A file should be read to
-    its end once before anything of it is sent: at the end comes a DataError if too many of its
-    bytes lie in no packet. Of a pipe each block is judged before it is handed on.
-    `options.as_is` accepts all. Several files are one stream, and each is judged; a pipe is
-    played alone. CallError, FormatError as from `open_source`.
+    Raw bytes are read in `options.protocol`. They are checked when they are opened: DataError
+    unless they fit the protocol, as `identify` finds from a whole file, or from the first 64 KiB
+    of a pipe. Read a file to its end once before sending anything of it: at its end comes a
+    DataError if too many of its bytes are in no packet. Each block of a pipe is checked before
+    it is returned. `options.as_is` accepts all bytes.
+
+    Several files are one stream, and each is checked; a pipe must be alone. CallError and
+    FormatError as from `open_source`.
     """
 
     def __init__(
@@ -42,21 +44,21 @@ class TrafficFile(Iterator[FrameArray]):
         if len(paths) > 1:
             for path in paths:
                 if not Path(path).exists() or Path(path).is_dir():
-                    continue  # the error of opening it says more
+                    continue  # opening it raises an error that says more
                 if not Path(path).is_file():
-                    raise CallError(f"{path} can be read only once: give it alone")
+                    raise CallError(f"{path} can be read only once; give it as the only IN")
                 TrafficFile([path], file_format, options).__exit__()
         with options_named():
             self.blocks = Blocks(opened(paths), options, format=file_format, sort=sort)
         self.name = ", ".join("standard input" if path == "-" else path for path in paths)
         self._as_is = options.as_is
         self._is_pipe = not Path(paths[0]).is_file()
-        self._judged = (0, 0)  # bytes in and bytes skipped when a block was last judged
+        self._checked = (0, 0)  # bytes in and bytes skipped when a block was last checked
         try:
             with options_named():
-                raw = self.blocks.format == RAW  # a pipe is waited for
+                raw = self.blocks.format == RAW  # waits for the first bytes of a pipe
             if raw and not options.as_is:
-                self._judge_raw(self.blocks.decoder)
+                self._check_raw(self.blocks.decoder)
         except BaseException:
             self.blocks.close()
             raise
@@ -69,10 +71,10 @@ class TrafficFile(Iterator[FrameArray]):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What to know of the files so far, with their names."""
+        """The remarks on the files so far, with their names."""
         return self.blocks.notes.lines
 
-    def _judge_raw(self, decoder: Decoder) -> None:
+    def _check_raw(self, decoder: Decoder) -> None:
         sample = self.blocks.sample()
         if not len(sample):
             return
@@ -80,7 +82,7 @@ class TrafficFile(Iterator[FrameArray]):
         if not fit.fits or fit.protocol != decoder.protocol:
             raise DataError(
                 f"{self.name}: these bytes look like {describe_fit(fit)}, not like "
-                f"{decoder.protocol}; nothing of them is sent; --as-is accepts them"
+                f"{decoder.protocol}; none of them are sent; --as-is accepts them"
             )
 
     def __next__(self) -> FrameArray:
@@ -90,13 +92,13 @@ class TrafficFile(Iterator[FrameArray]):
             check_found(self.blocks, as_is=self._as_is)
             raise
         if self._is_pipe and self.blocks.stats is not None and not self._as_is:
-            self._judge_block(self.blocks.decoder)
+            self._check_block(self.blocks.decoder)
         return frames
 
-    def _judge_block(self, decoder: Decoder) -> None:
-        """Raise DataError if the bytes since the last block are not of the protocol."""
+    def _check_block(self, decoder: Decoder) -> None:
+        """Raise DataError if the bytes since the last check do not look like the protocol."""
         bytes_in, skipped = decoder.position, decoder.skipped
-        came, bad = bytes_in - self._judged[0], skipped - self._judged[1]
+        came, bad = bytes_in - self._checked[0], skipped - self._checked[1]
         if came < LEAST_BYTES:
             return
         if is_doubtful(decoder.protocol, came, bad):
@@ -105,4 +107,4 @@ class TrafficFile(Iterator[FrameArray]):
                 f"in no {decoder.protocol} packet; frames from there on are not sent; "
                 "--as-is accepts them"
             )
-        self._judged = bytes_in, skipped
+        self._checked = bytes_in, skipped

@@ -34,12 +34,12 @@ from canser.errors import (
 __all__ = ["completion", "main", "parser"]
 
 
-# What the help calls arguments that are names of files.
+# The metavars of arguments that are names of files; a shell completes these names.
 _FILES: Final = ("IN", "OUT", "FILE")
 
 
 class _Version(argparse.Action):
-    """Print the version, which takes long to find, where it is asked for."""
+    """Print the version; to find it takes long, so it is looked up only here."""
 
     def __init__(self, option_strings: Sequence[str], dest: str, help: str) -> None:  # noqa: A002
         super().__init__(option_strings, dest, nargs=0, help=help)
@@ -69,7 +69,7 @@ class _Completion(argparse.Action):
 
 
 def completion(shell: str) -> str:
-    """Return the script that completes the command in a shell, bash, zsh or tcsh."""
+    """Return the script that completes the command in bash, zsh or tcsh."""
     try:
         import shtab  # noqa: PLC0415 - an optional extra
     except ModuleNotFoundError:
@@ -85,30 +85,30 @@ def completion(shell: str) -> str:
 
 
 def parser(names: Container[str]) -> argparse.ArgumentParser:
-    """Return the parser, with the arguments of these commands.
+    """Return the parser, with the arguments of the commands in `names` only.
 
-    Loading a command takes longer than most calls of another one.
+    Loading all commands would take longer than most calls of one command.
     """
     whole = Parser(
         prog="canser",
         description="Decode, encode, record and simulate the byte streams of serial CAN adapters.",
         epilog="examples:\n"
-        "  canser info run.bin                          what is in it, in which protocol\n"
-        "  canser convert run.bin run.log -p seeed      raw bytes to a candump log\n"
-        "  canser convert run.log run.bin -p serial     and back\n"
+        "  canser info run.bin                            # its protocol and frames\n"
+        "  canser convert run.bin run.log -p seeed        # raw bytes to a candump log\n"
+        "  canser convert run.log run.bin -p serial       # and back to raw bytes\n"
         "  canser dump run.bin -p seeed --filter 123:7FF | head\n"
-        "  canser log -c /dev/ttyUSB0 -p seeed run.pcapng   record a port\n"
-        "  canser monitor -c /dev/ttyUSB0 -p seeed      watch it\n"
-        "  canser simulate -p seeed                     simulate an adapter\n\n"
+        "  canser log -c /dev/ttyUSB0 -p seeed run.pcapng # record a port\n"
+        "  canser monitor -c /dev/ttyUSB0 -p seeed        # watch a port\n"
+        "  canser simulate -p seeed                       # simulate an adapter\n\n"
         f"protocols: {', '.join(protocols())}\n"
-        "exit codes: 0 good, 1 the data is bad, 2 the call is wrong",
+        "exit codes: 0 success, 1 the data is bad, 2 the call is wrong",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     whole.add_argument("--version", action=_Version, help="show the version and exit")
     whole.add_argument(
         "--print-completion",
         action=_Completion,
-        help="print a script that completes commands and options in bash, zsh or tcsh",
+        help="print a script that completes commands and options in SHELL: bash, zsh or tcsh",
     )
     commands = whole.add_subparsers(dest="command", metavar="COMMAND")
     for name, about in COMMANDS.items():
@@ -118,8 +118,9 @@ def parser(names: Container[str]) -> argparse.ArgumentParser:
             commands.add_parser(name, help=about)
 
     def show_help(_: argparse.Namespace) -> int:
-        # The help on standard output, for a reader or a pager, as git prints it. But no command
-        # was run: `canser $COMMAND` in a script must not pass for a success where it is empty.
+        # The help goes to standard output, so that a pager can read it, as with git. No command
+        # was run, so the exit code is not 0: otherwise `canser $COMMAND` in a script would count as
+        # a success when the variable is empty.
         show([whole.format_help().rstrip("\n")])
         return BAD_CALL
 
@@ -129,7 +130,7 @@ def parser(names: Container[str]) -> argparse.ArgumentParser:
 
 @contextlib.contextmanager
 def _terminated_cleanly() -> Iterator[None]:
-    """Let signals end the program as an exception does: half a file is not left behind."""
+    """Let signals raise an exception, so that no half-written file is left behind."""
 
     def stop(number: int, _: object) -> NoReturn:
         raise SystemExit(128 + number)
@@ -147,7 +148,7 @@ def _terminated_cleanly() -> Iterator[None]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code. What becomes of messages does not change it."""
+    """Run the command; return its exit code, which does not depend on the writing of messages."""
     with optional_messages():
         return _run(sys.argv[1:] if argv is None else argv)
 
@@ -189,7 +190,7 @@ def _fail(code: int, error: Exception) -> int:
         text = f"{error.filename}: {error.strerror}"
     else:
         text = str(error)
-    # A name may have any character, and a message is one line.
+    # A file name may contain any character, but a message is one line.
     line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     write_line(f"canser: {line}")
     return code

@@ -1,4 +1,4 @@
-"""`canser convert`: from raw bytes or a recording to a file of frames, and back."""
+"""`canser convert`: raw bytes or a recording to a file of frames, and back."""
 
 import argparse
 from typing import Any
@@ -37,51 +37,55 @@ def add(commands: Commands) -> None:
         "  canser convert run.bin - -p seeed | grep ' 123#'\n"
         "  canser convert run.log run.bin -p serial --ts-unit us\n"
         "  canser convert run.npy run.csv\n"
-        "  canser convert run.pcapng run.bin            the bytes of the line\n"
+        "  canser convert run.pcapng run.bin    # the raw bytes of the serial line\n"
         "  canser convert monday.log tuesday.log both.npy\n"
         "  canser convert run.bin run.log -p serial --epoch 2026-11-26T08:00",
         run=run,
         parents=[source_arguments()],
     )
-    target = parser.add_argument("target", metavar="OUT", help="a file, or - for standard output")
+    target = parser.add_argument(
+        "target", metavar="OUT", help="file to write, or - for standard output"
+    )
     parser.add_argument(
         "-o",
         dest="output",
         metavar="OUT",
         action=_Output,
         target=target,
-        help="OUT, where all the files before are IN",
+        help="file to write, as an option: all other files are then IN",
     )
     parser.add_argument(
         "--to",
         dest="target_format",
         metavar="FORMAT",
         type=format_name,
-        help=f"format of OUT: {FORMATS} (default: by its suffix, .bin for raw bytes; on standard "
-        "output candump, or raw where IN holds frames)",
+        help=f"format of OUT: {FORMATS} (default: by its suffix, .bin for raw; on standard "
+        "output candump, or raw if IN is a file of frames)",
     )
     selection_arguments(parser)
-    parser.add_argument("--force", action="store_true", help="replace OUT if it is there")
+    parser.add_argument(
+        "--force", action="store_true", help="replace OUT if it exists (default: refuse)"
+    )
     parser.add_argument(
         "--strict",
         action="store_true",
-        help="refuse a file with frames that OUT's protocol cannot carry (default: leave these "
-        "frames out, and count them)",
+        help="refuse a file with frames that the protocol of OUT cannot carry (default: leave "
+        "these frames out, and count them)",
     )
 
 
 def _target_format(args: argparse.Namespace) -> str | None:
-    """Return the format of OUT, None where that of IN decides; CallError where none is plain."""
+    """Return the format of OUT, None if that of IN decides; CallError if it cannot be found."""
     if args.target == "-" and args.target_format is None:
         return None
     try:
         return choose_target(args.target, args.target_format)
     except ValueError as error:
-        raise CallError(f"{error} by --to") from None
+        raise CallError(f"{error} with --to") from None
 
 
 class _Output(argparse.Action):
-    """Names OUT by an option: no argument behind IN is needed then."""
+    """Take OUT from an option, so that no argument after IN is needed."""
 
     def __init__(self, *args: Any, target: argparse.Action, **options: Any) -> None:
         super().__init__(*args, **options)

@@ -1,4 +1,4 @@
-"""`canser dump`: frames as candump prints them."""
+"""`canser dump`: print frames in the format of candump."""
 
 import argparse
 
@@ -37,8 +37,8 @@ def add(commands: Commands) -> None:
         dest="stamps",
         choices=STAMPS,
         default="a",
-        help="times: a absolute, A with the date, d since the frame before, z since the first "
-        "frame, as candump -t (default: a)",
+        help="times, as candump -t: a for absolute in seconds, A for absolute with the date, d for "
+        "seconds since the frame before, z for seconds since the first frame (default: a)",
     )
 
 

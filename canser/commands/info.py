@@ -1,4 +1,4 @@
-"""`canser info`: what is in a file, and which protocol it is."""
+"""`canser info`: show the contents of a file, and find its protocol."""
 
 import argparse
 import json
@@ -55,13 +55,13 @@ def add(commands: Commands) -> None:
         "--top",
         metavar="N",
         type=whole(least=1),
-        help="only the N most frequent ids, and how many are left out (default: all ids)",
+        help="show only the N most frequent ids, and count the others (default: all ids)",
     )
     parser.add_argument(
         "--json",
         action="store_true",
-        help="one JSON object on the standard output, with the names of the attributes of "
-        "canser.FileInfo; times are ns, what is not known is null",
+        help="print one JSON object on standard output, with the attributes of canser.FileInfo; "
+        "times are in nanoseconds, unknown values are null (default: text)",
     )
 
 
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _no_protocol(path: str, *, ranked: bool) -> CallError | DataError:
-    """Return the error that no protocol fits a file; `ranked`: print how well each does."""
+    """Return the error that no protocol fits a file; `ranked`: print how well each one fits."""
     if not os.path.isfile(path):  # noqa: PTH113
         return CallError(
             f"{path} can be read only once: name its protocol with -p "

@@ -1,42 +1,47 @@
-"""`canser log`: record what a port receives, for as long as it takes.
+"""`canser log`: record the bytes that a port receives.
 
 With --json each line on standard output is an object with a `type` and a `time` (epoch seconds):
 
-    status   once a second, and `end`, the last one, which has besides
-               reason: of the end: "signal", "duration" or "error"
-               error: why the exit code is 1, or null; that objects could not be written is
-               told on standard error only
+    status   the present counters, once a second:
              elapsed: seconds since the port was opened
              frames, bytes: so far; bytes == framed + control + skipped + pending
-             frames_per_s, bytes_per_s, bus_load: of the last second; the load is 0 to 1 without
-               stuff bits, so a lower bound, and null where --bitrate is not given
-             resyncs: runs of skipped bytes; lost: bytes that came while the ring was full;
+             frames_per_s, bytes_per_s, bus_load: of the last second; the load is 0 to 1, a lower
+               bound as it leaves stuff bits out, and null without --bitrate
+             resyncs: runs of skipped bytes
+             lost: bytes that came while the ring was full
              gaps, gaps_unknown: places where bytes are missing, and those of unknown length
-             ring: how full it is, 0 to 1
-             recorded, not_recorded: bytes in files, at the end those that are on the disk for
-               sure, and bytes far from any trigger
+             ring: the share of the ring that is full, 0 to 1
+             recorded: bytes in files; at the end only those that are on the disk for sure
+             not_recorded: bytes too far from any trigger
              vanished: bytes in files that were removed or replaced while they were open
-             triggers; files: that were opened; file: the open one, or ""
-             lines_dropped: objects that are missing, because those before them were not read
+             triggers: so far
+             files: number of files opened; file: the open one, or ""
+             lines_dropped: objects that are missing because earlier ones were not read
+    end      the last object; the fields of a status, and
+             reason: of the end: "signal", "duration" or "error"
+             error: why the exit code is 1, or null. Objects that could not be written are
+               reported on standard error only
     opened, closed, deleted    a file: path
-    vanished  a file that was removed, replaced or renamed while it was open: path;
-             renamed: whether its bytes are there, under a new name; lost: bytes that are gone.
+    vanished  a file that was removed, replaced or renamed while it was open: path
+             renamed: whether its bytes still exist under a new name; lost: bytes that are gone.
              The recording goes on in another file, and the exit code is 1
-    restored, set_aside  the old file that --force replaces has its name back, as nothing was
-             recorded; or stays as NAME.old, as it is not sure that anything was: path
-    trigger  path: of the file that was open, or ""
-    gap      offset: in the stream; lost: bytes, -1 where not known; reason: "overflow",
-             "reconnect" or "watchdog"
+    restored  the old file that --force replaces has its name back, because nothing was recorded:
+             path
+    set_aside  that old file stays as NAME.old, because it is not sure that anything was recorded:
+             path
+    trigger  path: the file that was open, or ""
+    gap      offset: in the stream; lost: bytes, -1 if unknown; reason: "overflow", "reconnect" or
+             "watchdog"
     back     the device is back after a gap
-    clock_set  the host's clock was set: step_ns, forward if positive. Times go on as before in the
-             open file; the next file begins with the new time
-    error    number: what the adapter reports
+    clock_set  the host's clock was set: step_ns, positive if forward. The times in the open file
+             go on as before; the next file begins with the new time
+    error    number: the error that the adapter reports
     warning  message
 
-The recording goes on, whatever becomes of the objects. A reader that ends, as in `| head -1`,
-is no error. Where the objects cannot be written, as on a full disk, and where at the end their
-reader takes nothing for 5 s, standard error says so, and the exit code is 1. For a slow reader
-the newest 10,000 objects are kept, and the end waits until they are read.
+The recording goes on even if objects cannot be written. A reader that ends, as in `| head -1`,
+is no error. If objects cannot be written, as on a full disk, or their reader takes nothing for
+5 s at the end, standard error reports that, and the exit code is 1. For a slow reader the newest
+10,000 objects are kept, and the end waits until they are read.
 """
 
 import argparse
@@ -65,10 +70,10 @@ from canser.live.run import record
 
 __all__ = ["add"]
 
-# The time between two status objects of --json.
+# Interval of the status objects of --json.
 _STATUS_EVERY_S: Final = 1.0
 
-# What an event has besides its type and time, as JSON.
+# The fields of an event as JSON, besides its type and time; other events have those of files.
 _FACTS: Final = {
     "vanished": ("path", "lost", "renamed"),
     "gap": ("offset", "lost", "reason"),
@@ -93,40 +98,51 @@ def add(commands: Commands) -> None:
         run=run,
         parents=[port_arguments(), duration_arguments()],
     )
-    parser.add_argument("target", metavar="OUT", help="a .pcapng file")
+    parser.add_argument("target", metavar="OUT", help="recording to write, a .pcapng file")
     parser.add_argument(
         "--force",
         action="store_true",
-        help="replace files that are there: an old one is OUT.old until the first bytes are on "
-        "the disk, and gets its name back if none ever are",
+        help="replace existing files; the old file is kept as OUT.old until the first bytes are "
+        "on the disk, and gets its name back if none are (default: refuse)",
     )
     parser.add_argument(
         "--json",
         action="store_true",
-        help="a JSON object a second, and one for each event, on standard output; where they "
-        "cannot be written the recording goes on, and the exit code is 1",
+        help="print a JSON object each second and for each event on standard output; if they "
+        "cannot be written, the recording goes on, and the exit code is 1 (default: a status "
+        "line on standard error)",
     )
     rotation = parser.add_argument_group(
-        "rotation", "OUT run.pcapng is then run-000001.pcapng and so on"
+        "rotation",
+        "with --size or --time, OUT run.pcapng becomes run-000001.pcapng and so on",
     )
-    rotation.add_argument("--size", type=_size, help="bytes of a file at most, such as 100M")
-    rotation.add_argument("--time", type=duration, help="time in a file at most, such as 1h")
+    rotation.add_argument(
+        "--size",
+        type=_size,
+        help="largest size of a file in bytes, such as 100M (default: no limit)",
+    )
+    rotation.add_argument(
+        "--time", type=duration, help="longest time in a file, such as 1h (default: no limit)"
+    )
     rotation.add_argument(
         "--keep",
         metavar="N",
         type=whole(least=1),
-        help="delete the oldest files of this run, keep N",
+        help="keep the newest N files of this run, and delete older ones (default: keep all)",
     )
-    events = parser.add_argument_group("events", "record only what surrounds them, a file for each")
+    events = parser.add_argument_group(
+        "events", "with --trigger, record only the bytes around each event, into its own file"
+    )
     events.add_argument(
         "--trigger",
         dest="triggers",
         metavar="FILTER",
         action="append",
         default=[],
-        help="a frame that passes: an id of up to three (standard) or of eight digits (extended), "
-        "ID:MASK, ID~MASK or #MASK, hexadecimal; or 'error': an error frame or an error that the "
-        "adapter reports; several: any of them",
+        help="event: a frame that matches, in hexadecimal: an id of up to 3 digits (standard) or "
+        "of 8 digits (extended), ID:MASK, ID~MASK (inverse) or #MASK (error frames); or 'error': "
+        "an error frame, or an error that the adapter reports; given several times, each is an "
+        "event (default: record all)",
     )
     events.add_argument(
         "--before",
@@ -166,7 +182,7 @@ def _size(text: str) -> int | str | None:
 
 
 class _Reporter:
-    """Tell people on standard error, or machines on standard output; a context manager."""
+    """Report to people on standard error, or to machines on standard output; a context manager."""
 
     def __init__(self, messages: Lines, *, as_json: bool) -> None:
         """`messages`: the lines on standard error."""
@@ -174,7 +190,7 @@ class _Reporter:
         self._messages = messages
         self._objects = Lines(sys.stdout.fileno(), self._fail) if as_json else None
         self._lines = self._objects or messages
-        # None where machines read.
+        # None with --json.
         self.status = None if as_json else StatusLine(messages, sys.stderr.fileno())
         self._due = time.monotonic() + _STATUS_EVERY_S
 
@@ -195,7 +211,7 @@ class _Reporter:
 
     def _fail(self, error: OSError) -> None:
         if isinstance(error, BrokenPipeError):
-            return  # the reader has ended, and that is its right
+            return  # the reader has ended, which is no error
         self.failed = True
         self._messages.put(
             f"canser: standard output: {error.strerror}; the objects from now on are missing, "
@@ -205,41 +221,41 @@ class _Reporter:
 
     @property
     def dropped(self) -> int:
-        """How many lines are missing because their reader was too slow."""
+        """The number of lines that are missing because their reader was too slow."""
         return self._lines.dropped
 
     @property
     def due(self) -> bool:
-        """Whether it is time for the status."""
+        """Whether the next status is due."""
         return time.monotonic() >= self._due if self.status is None else self.status.due
 
     def event(self, kind: str, text: str, ts: int, **facts: Any) -> None:
-        """Tell what has happened: a line, or an object with the facts."""
+        """Report an event: as a line, or as an object with the facts."""
         if self.status is not None:
             self._lines.put(text)
         else:
             self.object(kind, ts, facts)
 
     def object(self, kind: str, ts: int, facts: dict[str, Any]) -> None:
-        """Tell machines."""
+        """Write an object for machines."""
         if kind == "status":
-            # By the clock, not by when the last one was late.
+            # Counted from when this status was due, so that a late one does not shift the next.
             self._due = max(self._due + _STATUS_EVERY_S, time.monotonic())
         line = json.dumps({"type": kind, "time": round(ts / 1e9, 6), **facts})
         self._lines.put(line, last=kind == "end")
 
     def last_lines(self, lines: Iterable[str]) -> None:
-        """Tell people how it has ended."""
+        """Write the last lines for people."""
         for line in lines:
             self._lines.put(line, last=True)
 
     def warn(self, text: str) -> None:
-        """Tell a warning."""
+        """Report a warning."""
         self.event("warning", f"canser: {text}", time.time_ns(), message=text)
 
 
 class _Log:
-    """A run of the command: what the recording tells, told on."""
+    """A run of the command: it reports the events and the status of the recording."""
 
     def __init__(self, args: argparse.Namespace, reporter: _Reporter) -> None:
         self._args, self._reporter = args, reporter
@@ -263,8 +279,8 @@ class _Log:
                 duration=args.duration,
                 stop=asked,
                 bus_bitrate=args.bitrate,
-                on_event=self._tell,
-                on_status=self._keep,
+                on_event=self._report_event,
+                on_status=self._report_status,
                 size=args.size,
                 time=args.time,
                 keep=args.keep,
@@ -291,9 +307,9 @@ class _Log:
         self._summary(status, reason, error)
         return error
 
-    # Telling
+    # Reports
 
-    def _tell(self, event: RecorderEvent) -> None:
+    def _report_event(self, event: RecorderEvent) -> None:
         kind, reporter = event.kind, self._reporter
         if kind == "warning":
             reporter.warn(event.text)
@@ -302,7 +318,7 @@ class _Log:
             facts = {name: getattr(event, name) for name in names}
             reporter.event(kind, event.text, event.ts, **facts)
 
-    def _keep(self, status: RecorderStatus) -> None:
+    def _report_status(self, status: RecorderStatus) -> None:
         self._status = status
         if not self._reporter.due:
             return
@@ -312,7 +328,7 @@ class _Log:
         self._reporter.status.show(self._parts(status))
 
     def _facts(self, status: RecorderStatus) -> dict[str, Any]:
-        """Return how things stand, for machines."""
+        """Return the fields of a status, for machines."""
         stats, rates = status.stats, status.rates
         return {
             "elapsed": round(status.elapsed_s, 3),
@@ -340,7 +356,7 @@ class _Log:
         }
 
     def _parts(self, status: RecorderStatus) -> list[str]:
-        """Return how things stand, for people, most wanted first."""
+        """Return the parts of the status line, for people, the most important ones first."""
         rates = status.rates
         parts = [
             _clock_text(status.elapsed_s),
@@ -392,7 +408,7 @@ class _Log:
 
 
 def _files_text(status: RecorderStatus) -> str:
-    """Return how many files were made, and the names of those that are there."""
+    """Return the number of files that were made, and the names of those that exist."""
     names = [Path(path).name for path in status.files_kept]
     if not status.files:
         return "no file"

@@ -1,4 +1,4 @@
-"""`canser monitor`: the live table of a port, by id."""
+"""`canser monitor`: show a live table of a port, with a row for each id."""
 
 import argparse
 import math
@@ -21,11 +21,15 @@ def add(commands: Commands) -> None:
         "monitor",
         "  canser monitor -c /dev/ttyUSB0 -p seeed --bitrate 500000\n"
         "  canser monitor -c /dev/ttyUSB0 -p seeed --filter 123 --filter 7E0:7F8\n\n"
-        "keys: i n p j d s sort by id, count, period, jitter, dlc, last seen (again: the\n"
-        "other way round); / filter (digits alone are there the first of an id), space\n"
-        "pause, c clear, q quit\n\n"
-        "period: the median of the last 32 steps from one frame of an id to the next\n"
-        "jitter: the standard deviation of those between 0.5 and 1.5 periods",
+        "keys:\n"
+        "  i n p j d s    sort by id, count, period, jitter, dlc, last seen;\n"
+        "                 the same key again reverses the order\n"
+        "  /              filter; digits alone match ids that begin with them\n"
+        "  space          pause; frames are still counted\n"
+        "  c              clear all rows\n"
+        "  q              quit\n\n"
+        "period: median of the last 32 times between two frames of an id, in ms\n"
+        "jitter: standard deviation of those between 0.5 and 1.5 periods, in ms",
         run=run,
         parents=[port_arguments(), duration_arguments()],
     )
@@ -35,9 +39,10 @@ def add(commands: Commands) -> None:
         metavar="FILTER",
         action="append",
         default=[],
-        help="only ids that pass: an id of up to three (standard) or of eight digits (extended), "
-        "ID:MASK, ID~MASK (inverse) or #MASK (error frames), hexadecimal; several: any of them; "
-        "the filter line, opened by /, shows and changes it",
+        help="show only ids that match, in hexadecimal: an id of up to 3 digits (standard) or of "
+        "8 digits (extended), ID:MASK, ID~MASK (inverse) or #MASK (error frames); given several "
+        "times, an id must match one of them; the filter line, which / opens, shows and changes "
+        "the filters (default: all)",
     )
 
 
@@ -52,10 +57,10 @@ def run(args: argparse.Namespace) -> int:
         filters = exact(" ".join(args.filters))
     except ValueError as error:
         raise CallError(str(error)) from None
-    streams = (sys.stdin, sys.stdout, sys.stderr)  # None: closed
+    streams = (sys.stdin, sys.stdout, sys.stderr)  # None for a closed one
     if not all(stream is not None and stream.isatty() for stream in streams):
         raise CallError(
-            "the monitor needs a terminal, and its input or output is none; "
+            "the monitor needs a terminal, but its input or output is not one; "
             "run it without < > and |"
         )
     remarks: list[str] = []

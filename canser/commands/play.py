@@ -1,4 +1,4 @@
-"""`canser play`: send the frames of a file, at the times at which they were recorded."""
+"""`canser play`: send the frames of a file at their recorded times."""
 
 import argparse
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ from canser.live.player import Played, play
 
 __all__ = ["add"]
 
-# A day between two frames: the nanoseconds of many such gaps fit in 64 bits.
+# The largest --gap, a day: the sum of 100,000 such gaps in nanoseconds fits into 64 bits.
 _GAP_MOST_MS = 86_400_000
 
 
@@ -40,35 +40,45 @@ def add(commands: Commands) -> None:
         "sources",
         metavar="IN",
         nargs="+",
-        help="a file of frames, a recording, raw bytes of the protocol; or -. Several files are "
-        "one stream, in this order. IN is judged before "
-        "anything is sent: all of a file, of a pipe of raw bytes the first 64 KiB and each block",
+        help="file of frames, recording or raw bytes of the protocol to send, or - for standard "
+        "input; several files are one stream, in this order. IN is checked before anything is "
+        "sent: the whole of a file; the first 64 KiB of a pipe of raw bytes, then each block",
     )
     parser.add_argument(
         "--from",
         dest="source_format",
         metavar="FORMAT",
         type=format_name,
-        help=f"format of IN: {FORMATS} (default: by its content, else by its suffix, else raw "
-        "bytes)",
+        help=f"format of IN: {FORMATS} (default: by its content, otherwise by its suffix, "
+        "otherwise raw)",
     )
     pace = parser.add_mutually_exclusive_group()
     pace.add_argument(
-        "--speed", metavar="N", type=real(above=True), default=1.0, help="play N times as fast"
+        "--speed",
+        metavar="N",
+        type=real(above=True),
+        default=1.0,
+        help="send N times as fast as recorded (default: 1)",
     )
     pace.add_argument(
         "--gap",
         metavar="MS",
         type=real(most=_GAP_MOST_MS),
-        help="milliseconds between two frames, instead of their recorded times",
+        help="send a frame every MS milliseconds (default: at their recorded times)",
     )
     pace_argument(parser)
     bus_argument(parser)
     parser.add_argument(
-        "--sort", action="store_true", help="order all frames by their time, in memory"
+        "--sort",
+        action="store_true",
+        help="order all frames by their times; all must fit into memory (default: as in IN)",
     )
     as_is_argument(parser)
-    parser.add_argument("--loop", action="store_true", help="over and over, until interrupted")
+    parser.add_argument(
+        "--loop",
+        action="store_true",
+        help="send IN over and over, until Ctrl-C (default: once)",
+    )
     parser.add_argument(
         "--strict",
         action="store_true",
@@ -77,16 +87,17 @@ def add(commands: Commands) -> None:
     )
 
 
-# What reading IN may raise.
+# The errors that reading IN may raise.
 _ERRORS: Final = (CallError, CanserError, DataError, ValueError, OSError)
 
 
 def run(args: argparse.Namespace) -> int:
-    file = all(Path(path).is_file() for path in args.sources)  # else a pipe: read once
+    file = all(Path(path).is_file() for path in args.sources)  # a pipe can be read only once
     if args.loop and not file:
         raise CallError(f"{args.sources[0]} can be read only once; --loop needs a file")
     gap_ns = None if args.gap is None else int(args.gap * 1e6)
-    # Judging a pipe may wait for its bytes. A signal ends that at once: nothing is sent yet.
+    # Opening a pipe waits for its first bytes. Here a signal ends the program at once, as nothing
+    # is sent yet.
     pipe = None if file else _open(args)
     with stop_on_signals() as stop:
         source = _Source(args, stop)
@@ -95,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
         first = pipe or _open(args)
         with first, warnings_as_lines(write_line), open_port(args, stop) as port:
             sender = Sender(port, wanted=lambda: not stop, pace=args.pace)
-            sender.wait_listening()  # the times of the frames begin behind that
+            sender.wait_listening()  # the times of the frames count from here
             try:
                 played = play(
                     source.rounds(first),
@@ -106,38 +117,38 @@ def run(args: argparse.Namespace) -> int:
                 )
                 sender.drain()
             finally:
-                source.tell_left_out()
+                source.report_left_out()
     if sender.sent or stop:
         paced = args.pace and port.bitrate is not None
-        _tell(args, played, sender.sent, "the bus carries" if paced else "the line took")
+        _summarize(args, played, sender.sent, "the bus carries" if paced else "the line took")
     source.finish()
     return GOOD
 
 
 class _Source:
-    """The frames of IN that the port's protocol can carry, round by round.
+    """The frames of IN that the protocol of the port can carry, round by round.
 
-    What goes wrong with IN while it is played ends the last round, and comes from `finish`:
-    the frames before it are sent, and counted.
+    An error of IN ends the last round, and is raised by `finish`: the frames before the error are
+    sent, and counted.
     """
 
     def __init__(self, args: argparse.Namespace, stop: Stop) -> None:
         self._args, self._stop = args, stop
-        self._expected = 0  # frames that are left out, in all rounds so far, as `check` has told
+        self._expected = 0  # frames left out in all rounds so far, as `check` has counted
         self._checked = self._refusals()
         self._played = self._refusals()
         self._name = ""
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._error: Exception | None = None
 
     def check(self) -> None:
-        """Read the whole file, and tell of it, before anything is sent."""
+        """Read the whole file, and report on it, before anything is sent."""
         with _open(self._args) as file:
             for frames in file:
                 self._checked.keep(frames)
                 if self._stop:
                     return
-            self._tell_remarks(file)
+            self._report_remarks(file)
             self._check_any(file.name, self._checked)
         if self._checked.left_out:
             if self._args.strict:
@@ -157,13 +168,13 @@ class _Source:
             with again:
                 yield self._frames(again)
 
-    def tell_left_out(self) -> None:
-        """Tell what is left out, where `check` has not: of a pipe, or a file that has changed."""
+    def report_left_out(self) -> None:
+        """Report the frames left out, unless `check` has: of a pipe, or of a file that changed."""
         if self._played.left_out > self._expected:
             write_line(f"{self._name}: {self._played}; {self._args.protocol} cannot carry them")
 
     def finish(self) -> None:
-        """Raise what has ended the playing."""
+        """Raise the error that has ended the last round."""
         if self._error is not None:
             raise self._error
         if not self._stop:
@@ -179,13 +190,13 @@ class _Source:
                 yield kept
         except _ERRORS as error:
             self._error = error
-        self._tell_remarks(file)
+        self._report_remarks(file)
 
-    def _tell_remarks(self, file: TrafficFile) -> None:
-        """Tell each remark once, however often the file is read."""
+    def _report_remarks(self, file: TrafficFile) -> None:
+        """Report each remark once, even if the file is read several times."""
         for remark in file.remarks:
-            if remark not in self._told:
-                self._told.add(remark)
+            if remark not in self._reported:
+                self._reported.add(remark)
                 write_line(remark)
 
     def _check_any(self, name: str, found: Refusals) -> None:
@@ -208,7 +219,7 @@ class _Source:
 
 
 def _open(args: argparse.Namespace) -> TrafficFile:
-    """Open IN; raw bytes are of the port's protocol, and a recording knows its own."""
+    """Open IN; raw bytes are in the protocol of the port, and a recording names its own."""
     return TrafficFile(
         args.sources,
         args.source_format,
@@ -217,7 +228,7 @@ def _open(args: argparse.Namespace) -> TrafficFile:
     )
 
 
-def _tell(args: argparse.Namespace, played: Played, sent: int, pace: str) -> None:
+def _summarize(args: argparse.Namespace, played: Played, sent: int, pace: str) -> None:
     rounds = f" in {played.rounds:,} rounds" if args.loop else ""
     write_line(f"{sent:,} frames sent to {args.channel}{rounds}")
     if played.untimed == played.frames and args.gap is None:

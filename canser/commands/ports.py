@@ -1,4 +1,4 @@
-"""`canser ports`: the serial ports of this machine."""
+"""`canser ports`: list the serial ports of this machine."""
 
 import argparse
 
@@ -21,7 +21,7 @@ def add(commands: Commands) -> None:
 def run(args: argparse.Namespace) -> int:  # noqa: ARG001 - what every command takes
     rows = [tuple(port) for port in list_ports()]
     if not rows:
-        write_line("no serial port is plugged in; a port over the network is named by its URL")
+        write_line("no serial port is plugged in; a port in the network is opened by its URL")
         return GOOD
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     show(

@@ -1,4 +1,4 @@
-"""`canser recover`: a good copy of a damaged recording."""
+"""`canser recover`: copy the intact part of a damaged recording."""
 
 import argparse
 
@@ -17,9 +17,11 @@ def add(commands: Commands) -> None:
         "  canser recover run.pcapng whole.pcapng",
         run=run,
     )
-    parser.add_argument("source", metavar="IN", help="a recording")
-    parser.add_argument("target", metavar="OUT", help="the copy")
-    parser.add_argument("--force", action="store_true", help="replace OUT if it is there")
+    parser.add_argument("source", metavar="IN", help="recording to read")
+    parser.add_argument("target", metavar="OUT", help="recording to write")
+    parser.add_argument(
+        "--force", action="store_true", help="replace OUT if it exists (default: refuse)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

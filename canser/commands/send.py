@@ -1,4 +1,4 @@
-"""`canser send`: send frames that are named in the call."""
+"""`canser send`: send frames that are given in the call."""
 
 import argparse
 
@@ -28,8 +28,8 @@ def add(commands: Commands) -> None:
         "frames",
         metavar="FRAME",
         nargs="+",
-        help="as candump writes them: ID#DATA in hexadecimal, eight digits for an extended "
-        "id; ID#R, ID#R8 for remote frames",
+        help="frame as candump writes it: ID#DATA in hexadecimal, with 8 digits for an extended "
+        "id; ID#R, or ID#R8 with a dlc of 8, for a remote frame",
     )
     pace_argument(parser)
 
@@ -37,7 +37,7 @@ def add(commands: Commands) -> None:
 def run(args: argparse.Namespace) -> int:
     try:
         frames = make_frames(args.frames)
-        # What the format cannot carry is told before a port is opened.
+        # Frames that the protocol cannot carry are refused before the port is opened.
         timed = copy_records(frames)
         timed["ts"] = 0
         encode(timed, args.protocol)

@@ -1,4 +1,4 @@
-"""`canser simulate`: an adapter without hardware, on a pseudo terminal."""
+"""`canser simulate`: simulate an adapter on a pseudo terminal, without hardware."""
 
 import argparse
 import contextlib
@@ -36,20 +36,21 @@ from canser.simulation.traffic import vehicle
 
 __all__ = ["add"]
 
-# The traffic that is made is this long, and repeats.
+# Length of the generated traffic, which then repeats.
 _ROUND_S = 60.0
 
-# Its frames are handed on so many at once: a copy takes less than a tenth of a millisecond.
+# Frames in one array of this traffic: their copy takes less than 0.1 ms.
 _PART = 4096
 
-# The command looks at its simulator this often.
+# Interval at which the command looks at its simulator.
 _LOOK_S = 0.1
 
-# How long the end waits for a host that does not read, and for one that comes back.
+# At the end, a host that does not read, or that is gone and may come back, is waited for so long.
 _PATIENCE_S = 2.0
 
-# How long traffic that has an end waits for a host, before the first byte and between two: time
-# to type the other command, or for a slow machine to start it. A script must not hang for ever.
+# Traffic that has an end waits this time for a host, before the first byte and between two bytes.
+# It is enough to type the other command, or for a slow machine to start it. Without a limit a
+# script would hang for ever.
 _HOST_PATIENCE_S = 30.0
 
 
@@ -58,21 +59,25 @@ def add(commands: Commands) -> None:
     parser = add_command(
         commands,
         "simulate",
-        "  canser simulate -p seeed                      prints its name, sends for ever\n"
+        "  canser simulate -p seeed    # print the name of the terminal, run until Ctrl-C\n"
         "  canser simulate -p serial --traffic run.log --link /tmp/can\n"
         "  canser simulate -p seeed --seconds 60 --pace max --copy sent.bin\n"
         "  canser simulate -p cantalope --noise 0.001 --stall 100000:2 --report sent.json\n"
-        "  canser simulate -p seeed --deaf 0.7s --swallow    as an analyzer",
+        "  canser simulate -p seeed --deaf 0.7s --swallow    # as a real analyzer",
         run=run,
     )
     parser.add_argument(
-        "-p", "--protocol", type=protocol_name, required=True, help=", ".join(protocols())
+        "-p",
+        "--protocol",
+        type=protocol_name,
+        required=True,
+        help=f"protocol of the adapter: {', '.join(protocols())}",
     )
     parser.add_argument(
         "--traffic",
         metavar="FILE",
-        help="the frames to send: a .log, .csv or .npy file, or raw bytes of the protocol "
-        "(default: a vehicle's traffic, for ever)",
+        help="file of frames to send, .log, .csv or .npy, or raw bytes of the protocol; - for "
+        "standard input (default: generated traffic of a vehicle, until Ctrl-C)",
     )
     bus_argument(parser)
     as_is_argument(parser)
@@ -80,43 +85,47 @@ def add(commands: Commands) -> None:
         "--seconds",
         type=real(),
         metavar="S",
-        help="send S seconds of a vehicle's traffic, then end; the time runs while a host has "
-        "the terminal open. With --seconds, or FILE without --loop, the exit code is 1 if no "
-        f"host has it open for {_HOST_PATIENCE_S:g} seconds",
+        help="send S seconds of a vehicle's traffic, then end; the time runs only while a host "
+        "has the terminal open. With --seconds, or --traffic without --loop, the exit code is 1 "
+        f"if no host has the terminal open for {_HOST_PATIENCE_S:g} seconds (default: no end)",
     )
-    parser.add_argument("--loop", action="store_true", help="send FILE over and over")
+    parser.add_argument(
+        "--loop", action="store_true", help="send FILE over and over (default: once)"
+    )
     parser.add_argument(
         "--pace",
         choices=PACES,
-        help="by the frames' times, as the serial line carries, or as fast as the host reads "
-        "(default: traffic; line with --baudrate, or if the frames have no times)",
+        help="send by the frames' times (traffic), as fast as the serial line carries (line), or "
+        "as fast as the host reads (max) (default: traffic; line with --baudrate, or if the "
+        "frames have no times)",
     )
     parser.add_argument(
         "--baudrate",
         type=whole(least=1),
         metavar="N",
-        help="of the line (default: that of the protocol's adapters)",
+        help="rate of the serial line in bit/s (default: that of the adapters of the protocol)",
     )
     parser.add_argument(
         "--ts-unit",
         choices=TS_UNITS,
         default="ms",
-        help="unit of the device's timestamps (default: ms)",
+        help="unit of the timestamps of the device (default: ms)",
     )
-    parser.add_argument("--echo", action="store_true", help="send the host's frames back")
+    parser.add_argument("--echo", action="store_true", help="send the frames of the host back")
     parser.add_argument(
         "--noise",
         type=real(most=1),
         default=0.0,
         metavar="SHARE",
-        help="of the bytes that are lost, flipped or have one added in front, as 0.001",
+        help="share of the bytes, 0 to 1, that is lost, has a bit flipped, or gets a byte in "
+        "front, such as 0.001 (default: 0)",
     )
     parser.add_argument(
         "--loss",
         type=real(most=1),
         default=0.0,
         metavar="SHARE",
-        help="of the bytes that are lost in runs of 1 to 63",
+        help="share of the bytes, 0 to 1, that is lost in runs of 1 to 63 bytes (default: 0)",
     )
     parser.add_argument(
         "--stall",
@@ -125,33 +134,47 @@ def add(commands: Commands) -> None:
         action="append",
         default=[],
         metavar="AT:S",
-        help="fall silent after AT bytes for S seconds; several: each",
+        help="send nothing for S seconds after AT bytes, such as 5000:2; may be given several "
+        "times (default: never)",
     )
     parser.add_argument(
         "--deaf",
         type=duration,
         default=0.0,
         metavar="TIME",
-        help="ignore all that the host sends for that time after it has opened the terminal, as "
-        "real analyzers do: 0.7s",
+        help="ignore all bytes from the host for this time after it has opened the terminal, as "
+        "real analyzers do, such as 0.7s (default: 0s)",
     )
     parser.add_argument(
         "--swallow",
         action="store_true",
-        help="ignore the first packet behind each configuration, as real analyzers do",
+        help="ignore the first packet after each configuration, as real analyzers do",
     )
     parser.add_argument(
-        "--seed", type=whole(), default=1, metavar="N", help="of the faults (default: 1)"
+        "--seed",
+        type=whole(),
+        default=1,
+        metavar="N",
+        help="seed of --noise and --loss; the same seed gives the same faults (default: 1)",
     )
     parser.add_argument(
-        "--link", default="", metavar="PATH", help="a symbolic link to the terminal"
+        "--link",
+        default="",
+        metavar="PATH",
+        help="make a symbolic link to the terminal at PATH (default: none)",
     )
-    parser.add_argument("--copy", metavar="FILE", help="gets the very bytes that were sent")
     parser.add_argument(
-        "--report", metavar="FILE", help="gets what was done, as JSON; - for standard output"
+        "--copy", metavar="FILE", help="write exactly the bytes that were sent to FILE"
     )
     parser.add_argument(
-        "--force", action="store_true", help="replace the files of --copy and --report"
+        "--report",
+        metavar="FILE",
+        help="at the end, write all counters to FILE as JSON; - for standard output",
+    )
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="replace the files of --copy and --report if they exist (default: refuse)",
     )
 
 
@@ -163,8 +186,8 @@ def run(args: argparse.Namespace) -> int:
             others.append(written)
     with contextlib.ExitStack() as files:
         if args.traffic == "-" and isinstance(sys.stdin, io.TextIOWrapper):
-            # A thread may wait for more of its bytes, and then holds the lock of the buffer.
-            # Otherwise Python, which closes sys.stdin at its end, would abort without the lock.
+            # Otherwise Python would abort at its end: it closes sys.stdin, but a thread that waits
+            # for bytes of standard input holds the lock of the buffer.
             files.callback(sys.stdin.detach)
         copy: BinaryIO | None = None
         if args.copy is not None:
@@ -182,7 +205,7 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
         )
         if args.baudrate is not None and args.pace in {"traffic", "max"}:
-            raise CallError(f"--baudrate is of --pace line, not {args.pace}: leave one of them out")
+            raise CallError(f"--baudrate needs --pace line, not {args.pace}; leave one of both out")
         with (
             stop_on_signals() as stop,
             Simulator(
@@ -202,7 +225,7 @@ def run(args: argparse.Namespace) -> int:
                 write_line(
                     f"{args.traffic}: the frames have no times; sent as fast as the line carries"
                 )
-            with contextlib.suppress(ReaderGoneError):  # --link names the terminal, too
+            with contextlib.suppress(ReaderGoneError):  # a host may know the name from --link
                 show([device.url])
             endless = loop or (args.traffic is None and args.seconds is None)
             failure = _run(device, stop, endless=endless)
@@ -210,11 +233,11 @@ def run(args: argparse.Namespace) -> int:
         text = json.dumps(dataclasses.asdict(report), indent=2)
         if target is not None:
             target.write(text.encode() + b"\n")
-    # Behind the files: a reader that has gone takes none of them away.
+    # After the files are complete: an error of standard output must not remove them.
     if args.report == "-":
         show([text])
     if isinstance(traffic, _File):
-        traffic.tell_left_out()
+        traffic.report_left_out()
     for line in _summary(report):
         write_line(line)
     if failure:
@@ -224,11 +247,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run(device: Simulator, stop: Stop, *, endless: bool) -> str:
-    """Serve until the end; return what has failed, "" for nothing.
+    """Serve until the end; return the failure, "" for none.
 
-    The end: all is sent and read, a signal has come, or no host is there any more.
+    The end: all bytes are sent and read, a signal has come, or the host is gone.
     """
-    # Seconds by the number of looks: a machine that is busy or asleep is given more time.
+    # Seconds, counted by looks, so that a machine that is busy or asleep gets more time.
     away = finished = 0.0
     while not stop and not device.wait(_LOOK_S):
         away = 0.0 if device.connected else away + _LOOK_S
@@ -250,51 +273,52 @@ def _run(device: Simulator, stop: Stop, *, endless: bool) -> str:
 
 
 def _traffic(args: argparse.Namespace) -> tuple[FrameArray | Iterable[FrameArray], bool]:
-    """Return the frames to send, and whether over and over."""
+    """Return the frames to send, and whether to send them over and over."""
     if args.traffic is None:
         if args.loop:
             raise CallError("--loop repeats a file: name it with --traffic, or leave --loop out")
         ext = carries(args.protocol, ext=True)
         if args.seconds is None:
             return vehicle(_ROUND_S, extended=ext), True
-        return _made(args.seconds, extended=ext), False
+        return _generate(args.seconds, extended=ext), False
     if args.seconds is not None:
-        raise CallError("--seconds is for traffic that is made; leave it out, or --traffic")
+        raise CallError("--seconds is for generated traffic; leave out --seconds or --traffic")
     if args.loop and args.traffic == "-":
         raise CallError("standard input can be read only once; put it into a file, or drop --loop")
     return _File(args), args.loop
 
 
-def _made(seconds: float, *, extended: bool) -> Iterator[FrameArray]:
-    """Make a vehicle's traffic, a round at a time."""
-    # All that takes long is done before the first frame: what is due must not wait for it.
+def _generate(seconds: float, *, extended: bool) -> Iterator[FrameArray]:
+    """Yield the traffic of a vehicle, round by round."""
+    # The slow work is done before the first frame; otherwise frames would be late.
     rounds, rest = divmod(seconds, _ROUND_S)
     whole = vehicle(_ROUND_S if rounds else 0, extended=extended)
     last = vehicle(rest, extended=extended)
     for number in range(int(rounds) + 1):
-        made = whole if number < rounds else last
-        for start in range(0, len(made), _PART):
-            frames = made[start : start + _PART].copy()
+        traffic = whole if number < rounds else last
+        for start in range(0, len(traffic), _PART):
+            frames = traffic[start : start + _PART].copy()
             frames["ts"] += int(number * _ROUND_S * 1e9)
             yield frames
 
 
 class _File:
-    """The frames of a file that the protocol can carry, as often as they are asked for.
+    """The frames of a file that the protocol can carry; it may be iterated several times.
 
-    A file is read to its end first, and so judged as a whole; of a pipe the first frames are.
+    A file is read to its end first, and so checked as a whole; of a pipe only the first frames
+    are read.
     """
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._args = args
         self._refusals = Refusals(args.protocol)
-        self._told_remarks = False
-        self._told = False
+        self._remarks_reported = False
+        self._reported = False
         if Path(args.traffic).is_file():
             for _ in self._open():
                 pass
             if self._refusals.left_out < self._refusals.frames:
-                self.tell_left_out()
+                self.report_left_out()
         self._opened: Iterator[FrameArray] | None = self._open()
         self._first = next(self._opened, None)
         if self._first is None and self._refusals.left_out:
@@ -305,10 +329,10 @@ class _File:
         if self._first is None:
             raise DataError(f"there is no frame in {args.traffic}")
 
-    def tell_left_out(self) -> None:
-        """Tell, once, which frames are left out."""
-        if self._refusals.left_out and not self._told:
-            self._told = True
+    def report_left_out(self) -> None:
+        """Report once which frames are left out."""
+        if self._refusals.left_out and not self._reported:
+            self._reported = True
             write_line(
                 f"{self._args.traffic}: {self._refusals}; {self._args.protocol} cannot carry them"
             )
@@ -324,13 +348,13 @@ class _File:
         args = self._args
         with TrafficFile([args.traffic], None, read_options(args)) as file:
             yield from filter(len, map(self._refusals.keep, file))
-        if not self._told_remarks:
-            self._told_remarks = True
+        if not self._remarks_reported:
+            self._remarks_reported = True
             write_remarks(file.blocks)
 
 
 def _summary(report: SimulatorReport) -> Iterator[str]:
-    """Yield what there is to say at the end."""
+    """Yield the lines of the summary at the end."""
     yield f"{report.frames:,} frames, {report.bytes_sent:,} bytes sent"
     if report.frames_untimed and report.pace == "traffic":
         yield f"frames without a time, each sent with the one before: {report.frames_untimed:,}"
@@ -350,7 +374,7 @@ def _summary(report: SimulatorReport) -> Iterator[str]:
     if report.bytes_ignored or report.packets_swallowed:
         yield (
             f"from the host, and ignored: {report.bytes_ignored:,} bytes while deaf, "
-            f"packets behind a configuration {report.packets_swallowed:,}"
+            f"packets after a configuration {report.packets_swallowed:,}"
         )
     if report.bytes_unread:
         yield f"not read by the host: {report.bytes_unread:,} of the bytes sent"
@@ -364,5 +388,5 @@ def _stall(text: str) -> tuple[int, float]:
         return whole()(at), real()(seconds)
     except argparse.ArgumentTypeError:
         raise argparse.ArgumentTypeError(
-            f"{text!r} is no stall: give bytes and seconds, as 5000:2"
+            f"{text!r} is no stall; write bytes and seconds, such as 5000:2"
         ) from None

@@ -1,1 +1,1 @@
-"""Private: the live table of a port by id: the model, the widgets, the program."""
+"""Private: the live table of a port by id: its rows, its widgets, its application."""

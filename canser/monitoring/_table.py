@@ -1,4 +1,4 @@
-"""The rows of a live table on the screen: widgets of textual's, which is an optional extra."""
+"""The rows of a live table on the screen, as widgets of textual, an optional extra."""
 
 import math
 from collections.abc import Iterator
@@ -20,26 +20,26 @@ from canser.monitoring.livetable import ROW_DTYPE, RowArray
 
 __all__ = ["DESCENDING", "Heading", "Table"]
 
-# How long a byte that has changed is marked strongly, and then faintly.
+# How long after its change a byte is marked strongly, and how long faintly.
 _FRESH_NS: Final = 400_000_000
 _FADING_NS: Final = 2_000_000_000
 
-# How a byte looks: never changed, changed some time ago, a moment ago, just now.
+# Styles of a byte: never changed; last changed over 2 s, over 0.4 s, or less than 0.4 s ago.
 _BYTES: Final = ("constant", "data", "fading", "fresh")
 
-# A row is quiet when its frame is late by this many periods, and by a second at least.
+# A row is quiet when its last frame is older than this many periods, and older than a second.
 _QUIET_PERIODS: Final = 3.0
 _S_NS: Final = 1_000_000_000
 
-# From this width on there is room for more columns.
+# Width in characters from which on the wide columns are shown.
 _WIDE: Final = 142
 
 
 class _Column(NamedTuple):
     title: str
     width: int
-    by: str = ""  # what a click on it sorts by
-    left: bool = False
+    by: str = ""  # the key by which a click on the title sorts
+    left: bool = False  # whether the title is aligned left
 
 
 _ID = _Column("ID", 9, "id")
@@ -57,7 +57,7 @@ _SHARE = _Column("   Share of the frames", 42, left=True)
 _NARROW_COLUMNS: Final = (_ID, _KIND, _COUNT, _PERIOD, _JITTER, _DLC, _DATA, _SEEN)
 _WIDE_COLUMNS: Final = (*_NARROW_COLUMNS[:5], _RATE, _DLC, _DATA, _ASCII, _SEEN, _SHARE)
 
-# Which orders start from the other end: the most, the most uneven, the newest first.
+# Keys that sort in descending order first: the most frames, the largest jitter, the newest.
 DESCENDING: Final = {"count", "jitter", "ts"}
 
 
@@ -66,7 +66,7 @@ def _columns(width: int) -> tuple[_Column, ...]:
 
 
 class Heading(Widget):
-    """The titles of the columns, with an arrow at the one that sorts; a click sorts."""
+    """The titles of the columns, with an arrow at the sort key; a click on a title sorts."""
 
     by, descending = "id", False
 
@@ -92,7 +92,7 @@ class Heading(Widget):
 
 
 class Table(ScrollView, can_focus=True):
-    """The rows. Makes those that can be seen, and draws the lines that have changed."""
+    """The rows. Only visible lines are made, and only changed lines are drawn."""
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {*_BYTES, "id", "number", "quiet", "error", "bar"}
 
@@ -100,17 +100,17 @@ class Table(ScrollView, can_focus=True):
         super().__init__()
         self._rows: RowArray = np.zeros(0, ROW_DTYPE)
         self._now = self._frames = 0
-        self._hint = ""  # what to say where there is no row
-        self._view: tuple[int, Size] | None = None  # what the lines were made for
+        self._hint = ""  # the text to show if there are no rows
+        self._view: tuple[int, Size] | None = None  # scroll offset and size of the lines
         self._lines: list[Strip] = []
 
     def show(self, rows: RowArray, now: int, frames: int, hint: str) -> None:
-        """Show rows as they are at a time, of so many frames."""
+        """Show rows at the time `now`, nanoseconds; `frames`: the number of frames of all rows."""
         self._rows, self._now, self._frames, self._hint = rows, now, frames, hint
         self.virtual_size = Size(self.scrollable_content_region.width, len(rows))
         old, view = self._lines, self._view
         self._view = None
-        new = self._made()
+        new = self._visible()
         if view != self._view or len(old) != len(new):
             self.refresh()
             return
@@ -119,11 +119,11 @@ class Table(ScrollView, can_focus=True):
             self.refresh(Region(0, changed[0], self.size.width, changed[-1] + 1 - changed[0]))
 
     def render_line(self, y: int) -> Strip:
-        lines = self._made()
+        lines = self._visible()
         return lines[y] if y < len(lines) else Strip.blank(self.size.width, self.rich_style)
 
-    def _made(self) -> list[Strip]:
-        """Return the lines that can be seen, made anew where need be."""
+    def _visible(self) -> list[Strip]:
+        """Return the visible lines, made anew if the view has changed."""
         view = (self.scroll_offset.y, self.size)
         if view != self._view:
             self._view = view
@@ -146,7 +146,7 @@ class Table(ScrollView, can_focus=True):
 
 
 def _values(rows: RowArray, now: int) -> Iterator["_Row"]:
-    """Yield rows as Python's own values."""
+    """Yield rows as values of Python."""
     levels = np.zeros((len(rows), 8), np.int8)
     for since in (NO_TIME, now - _FADING_NS, now - _FRESH_NS):
         levels += rows["changed"] > since
@@ -157,7 +157,7 @@ def _values(rows: RowArray, now: int) -> Iterator["_Row"]:
 
 
 class _Row(NamedTuple):
-    """A row of the table as Python's own values."""
+    """A row of the table as values of Python."""
 
     id: int
     ext: bool
@@ -170,21 +170,21 @@ class _Row(NamedTuple):
     jitter: float
     rate: float
     data: list[int]
-    levels: list[int]  # how fresh each byte's change is
+    levels: list[int]  # for each byte the index of its style in _BYTES
 
 
 class _Painter(NamedTuple):
-    """Rows as coloured text."""
+    """Make rows into coloured text."""
 
     looks: dict[str, Style]
     base: Style
     now: int
     frames: int  # of all rows
-    most: int  # frames of one row
+    most: int  # frames of the row with the most frames
     wide: bool
 
     def segments(self, row: _Row) -> list[Segment]:
-        """Return the text of a row; few segments, as these are what drawing costs."""
+        """Return the text of a row, in few segments: the time to draw depends on their number."""
         age = self.now - row.ts if row.ts != NO_TIME else 0
         quiet = age > _S_NS and (math.isnan(row.period) or age > _QUIET_PERIODS * row.period)
         number = self.looks["quiet" if quiet else "number"]
@@ -213,7 +213,7 @@ class _Painter(NamedTuple):
         if row.rtr:
             yield Segment("remote request".ljust(24), self.looks["constant"])
             return
-        # Neighbours that look the same make one bar.
+        # Neighbouring bytes of the same style make one segment.
         for level, places in groupby(range(row.dlc), row.levels.__getitem__):
             text = " ".join(f"{row.data[at]:02X}" for at in places)
             yield Segment(text, self.looks[_BYTES[level]])
@@ -235,7 +235,7 @@ def _count(number: int) -> str:
 
 
 def _milliseconds(ns: float, digits: int) -> str:
-    """Return a time that is NaN where it is not known."""
+    """Return a time in milliseconds as text, "-" for NaN, which means unknown."""
     if math.isnan(ns):
         return "-"
     text = f"{ns / 1e6:,.{digits}f}"

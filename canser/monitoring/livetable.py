@@ -1,4 +1,4 @@
-"""The live table: what came of each id, how often and how evenly, and which bytes change."""
+"""The live table: for each id the count, the period, the jitter, and the bytes that change."""
 
 import re
 import threading
@@ -20,47 +20,49 @@ ROW_DTYPE: Final[np.dtype[np.void]] = np.dtype(
         ("ext", np.bool_),
         ("rtr", np.bool_),
         ("err", np.bool_),
-        ("dlc", np.uint8),  # of the last frame, as are data and ts
+        ("dlc", np.uint8),  # dlc, data and ts are those of the last frame
         ("data", np.uint8, (8,)),
         ("ts", np.int64),
         ("count", np.int64),
-        ("changed", np.int64, (8,)),  # the time of the frame that last changed a byte, or NO_TIME
-        ("period", np.float64),  # nanoseconds, NaN for not known
-        ("jitter", np.float64),  # nanoseconds, NaN for not known
-        ("rate", np.float64),  # frames a second, NaN for not known
+        # For each byte the ts of the frame that last changed it, or NO_TIME.
+        ("changed", np.int64, (8,)),
+        ("period", np.float64),  # nanoseconds, NaN if unknown
+        ("jitter", np.float64),  # nanoseconds, NaN if unknown
+        ("rate", np.float64),  # frames a second, NaN if unknown
     ],
     align=True,
 )
 
-# What rows can be sorted by.
+# The keys by which rows can be sorted.
 COLUMNS: Final = ("id", "count", "period", "jitter", "dlc", "ts")
 
-# Period and jitter are those of the last steps of an id, of so many: enough for a steady
-# figure, few enough to follow an id that changes its pace.
+# Number of the last steps of an id (times from one frame to the next) that period, jitter and rate
+# are computed from: enough for a steady figure, few enough to follow a change of the period.
 _STEPS: Final = 32
 
-# Jitter is that of steps between so many periods: where a frame is lost a step is of two.
+# Jitter counts only steps between these numbers of periods. Otherwise a lost frame, which makes a
+# step of two periods, would count as jitter.
 _STEP_LEAST: Final = 0.5
 _STEP_MOST: Final = 1.5
 
-# A wrong baud rate makes up new ids without end. Frames of more ids than these are counted,
-# and have no row.
+# Largest number of rows. Otherwise a wrong baud rate, which gives new false ids for ever, would
+# fill the memory. Frames of further ids are counted, and have no row.
 _IDS_MOST: Final = 1 << 14
 
 _PREFIX = re.compile("(?:0[xX])?(?P<digits>[0-9A-Fa-f]{1,8})")
 
 
 class LiveTable:
-    """A row for each kind of frame: id, ext, rtr and err. Safe for several threads.
+    """A row for each combination of id, ext, rtr and err. Safe for several threads.
 
-    A remote frame or an error frame is not of the same kind as the data frame with its id: it
-    has a period of its own, and no data that could change.
+    A remote frame or an error frame has a row of its own, not that of the data frame with the
+    same id: its period differs, and it has no data that could change.
 
-    `period` is the median of the last 32 steps forward from one frame of a row to the next,
-    known from the second frame on. `jitter` is the standard deviation of those between 0.5 and
-    1.5 periods, known of two or more. `rate` is the number of the last 32 steps over their sum:
-    not 1 / `period` where frames come in bursts. Times that are not known, steps back and
-    those across a restart of the clock count for none of them.
+    A step is the time from one frame of a row to the next. `period` is the median of the last 32
+    steps, known from the second frame on. `jitter` is the standard deviation of those between 0.5
+    and 1.5 periods, known from two such steps on. `rate` is the number of the last 32 steps
+    divided by their sum; it differs from 1 / `period` if frames come in bursts. Unknown times,
+    steps back, and steps across a restart of the clock are left out.
     """
 
     def __init__(self) -> None:
@@ -69,24 +71,24 @@ class LiveTable:
 
     def _empty(self) -> None:
         self._ids = IdStatistics(remote_apart=True, rows_most=_IDS_MOST)
-        # By the places of rows, with room for more.
+        # One element for each row, with room for more rows.
         self._rows = np.zeros(0, ROW_DTYPE)
-        # The last steps of a row, nanoseconds, 0 for none; and how many there have been.
+        # The last steps of each row in nanoseconds, 0 for none, and the number of all its steps.
         self._steps = np.zeros((0, _STEPS))
         self._step_counts = np.zeros(0, np.int64)
 
     @property
     def frames(self) -> int:
-        """How many frames were added since the last `clear`."""
+        """The number of frames added since the last `clear`."""
         return self._ids.frames
 
     @property
     def others(self) -> int:
-        """How many of them have no row, as there are 16,384 already."""
+        """The number of those frames without a row, because there are 16,384 rows already."""
         return self._ids.others
 
     def clear(self) -> None:
-        """Forget all."""
+        """Remove all rows."""
         with self._lock:
             self._empty()
 
@@ -100,7 +102,7 @@ class LiveTable:
         return rows
 
     def add(self, frames: FrameArray) -> None:
-        """Take frames, in the order in which they came: FRAME_DTYPE, shape (n,)."""
+        """Add frames in the order in which they came: FRAME_DTYPE, shape (n,)."""
         if not len(frames):
             return
         with self._lock:
@@ -112,13 +114,13 @@ class LiveTable:
                 self._add_steps(batch)
 
     def _add_bytes(self, batch: Batch) -> None:
-        """Take the last frame of each row, and which bytes have changed since."""
+        """Store the last frame of each row, and the times at which its bytes have changed."""
         frames, starts = batch.frames, batch.starts
         old = self._rows.take(batch.places)
         dlc = previous(frames["dlc"], old["dlc"], starts)
         changed = frames["data"] != previous(frames["data"], old["data"], starts)
         at = np.arange(8)
-        # A byte that appears or goes away has changed, too.
+        # A byte that a new dlc adds or removes has changed, too.
         changed |= (at < frames["dlc"][:, None]) != (at < dlc[:, None])
         changed[starts[batch.new]] = False
         times = np.where(changed, frames["ts"][:, None], NO_TIME)
@@ -129,10 +131,10 @@ class LiveTable:
         put_records_at(self._rows, batch.places, old)
 
     def _add_steps(self, batch: Batch) -> None:
-        """Keep the last steps of each row."""
+        """Store the last steps of each row."""
         counts = batch.step_counts
         places = np.repeat(batch.places, counts)
-        # How many steps of its row come later than a step.
+        # For each step the number of later steps of its row.
         later = np.repeat(np.cumsum(counts), counts) - 1 - np.arange(len(places))
         self._step_counts[batch.places] += counts
         kept = later < _STEPS
@@ -148,11 +150,11 @@ class LiveTable:
 
 
 def _set_pace(rows: RowArray, steps: npt.NDArray[np.float64]) -> None:
-    """Set period, jitter and rate of rows by their last steps: shape (n, 32), 0 for none."""
+    """Set period, jitter and rate of rows from their last steps, shape (n, 32), 0 for none."""
     counts = np.count_nonzero(steps, axis=1)
-    steps = np.sort(steps, axis=1)  # those that are none come first
+    steps = np.sort(steps, axis=1)  # zeros come first
     first = _STEPS - np.maximum(counts, 1)
-    middle = first + (counts - 1) // 2, first + counts // 2  # one where the count is odd
+    middle = first + (counts - 1) // 2, first + counts // 2  # both are the same if the count is odd
     row = np.arange(len(rows))
     with np.errstate(invalid="ignore", divide="ignore"):
         period = np.where(counts > 0, (steps[row, middle[0]] + steps[row, middle[1]]) / 2, np.nan)
@@ -168,12 +170,12 @@ def _set_pace(rows: RowArray, steps: npt.NDArray[np.float64]) -> None:
 
 
 def ordered(rows: RowArray, by: str, *, descending: bool = False) -> RowArray:
-    """Return rows sorted by one of `COLUMNS`; equal ones stay, what is not known comes last."""
+    """Return rows sorted by one of `COLUMNS`; stable, with unknown values last."""
     if by == "id":
         return rows[::-1] if descending else rows
     values = rows[by]
     if descending:
-        # Of an integer the complement: unlike the negative it never overflows.
+        # The complement reverses the order of integers; unlike the negative it never overflows.
         values = ~values if values.dtype.kind in "iu" else -values
     return rows.take(np.argsort(values, kind="stable"))
 
@@ -183,10 +185,10 @@ def _terms(text: str) -> list[str]:
 
 
 def exact(text: str) -> str:
-    """Return filters as `match` reads them, spelled so that `choose` reads them the same.
+    """Return filters of `match`, written so that `choose` understands them in the same way.
 
-    An id alone, which is the first digits of ids to `choose`, gets its mask: `123` becomes
-    `123:800007FF`. ValueError for a filter that cannot be read.
+    An id alone gets its mask, because `choose` would take it as the first digits of ids: `123`
+    becomes `123:800007FF`. ValueError for a filter that cannot be read.
     """
     filters = [with_mask(term) for term in _terms(text)]
     match(np.empty(0, FRAME_DTYPE), *filters)
@@ -194,12 +196,13 @@ def exact(text: str) -> str:
 
 
 def choose(rows: RowArray, text: str) -> npt.NDArray[np.bool_]:
-    """Mark the rows that pass a filter: the notation of `match`, or the first digits of an id.
+    """Mark the rows that match a filter: in the notation of `match`, or the first digits of an id.
 
-    Several, with blanks or commas between: those that pass any. Digits alone are the first of
-    an id, and not the whole id as in `match`, for they are typed one by one: `18F` passes the
-    standard id 0x18F and all extended ids from 0x18F00000 to 0x18FFFFFF; those of error frames
-    have eight digits, too. No filter passes all. ValueError for one that cannot be read.
+    Blanks or commas separate filters; a row must match one of them. Without a filter all rows
+    match. Digits alone are the first digits of an id, not the whole id as in `match`, because
+    they are typed one by one: `18F` matches the standard id 0x18F and all extended ids from
+    0x18F00000 to 0x18FFFFFF. Ids of error frames have eight digits, too. ValueError for a filter
+    that cannot be read.
     """
     prefixes, filters = list[str](), list[str]()
     for term in _terms(text):

@@ -1,4 +1,4 @@
-"""The live table of a port in the terminal: an app of textual's, which is an optional extra."""
+"""The live table of a port in the terminal, as an application of textual, an optional extra."""
 
 import threading
 import time
@@ -22,16 +22,18 @@ from canser.timing.host import HostClock
 
 __all__ = ["Monitor"]
 
-# The screen is drawn this often, whatever the frame rate. Frames are read in batches of the same
-# time, so that their number makes no work.
+# Interval at which the screen is drawn, at any frame rate. Frames are read in batches of the same
+# time, so that many frames make no more batches than few.
 _TICK_S: Final = 0.1
+
+# Frames of a batch at most.
 _ROOM: Final = 1 << 15
 
 
 class _Reader(threading.Thread):
-    """Reads a port to its end, or until `stop`, into a live table.
+    """Read a port into a live table, to its end or until `stop`.
 
-    `error` is what has ended it. The port stays open: it is its owner's.
+    `error` is the error that has ended the reading. The port stays open: its owner closes it.
     """
 
     def __init__(self, port: Port, bitrate: int | None) -> None:
@@ -52,17 +54,17 @@ class _Reader(threading.Thread):
                 self.gaps += len(self._port.take_gaps())
                 self.stats = self._port.stats
                 self.meter.add(frames, self.stats.bytes_in, time.monotonic())
-        except Exception as error:  # noqa: BLE001 - whatever it is, the app shows it
+        except Exception as error:  # noqa: BLE001 - the application shows it
             self.error = error
 
     def stop(self) -> None:
-        """End it, and wait for that."""
+        """End the thread, and wait for its end."""
         self._ending.set()
         self.join()
 
 
 class _Status(Static):
-    """The lines at the top: what is read, how fast, and what went wrong on the way."""
+    """The lines at the top: the port, the rates, and the counters of faults."""
 
 
 class _FilterLine(Input):
@@ -73,12 +75,13 @@ class _FilterLine(Input):
 
 
 class Monitor(App[None]):
-    """Show what comes from an open port until the user quits.
+    """Show the frames from an open port in a table until the user quits.
 
-    The port is read to its end, by a thread of its own; it is not closed. `filters`: what is
-    typed into the filter line, see `livetable.choose`. `bitrate`: of the bus, for its load,
-    where the port does not know it. `remarks`: the last one is shown, others may come meanwhile.
-    The app ends, too, when `stopped` returns True.
+    A separate thread reads the port to its end; the port is not closed.
+
+    `filters`: the text of the filter line at first, see `livetable.choose`. `bitrate`: that of
+    the bus in bit/s, for the bus load, if the port does not know it. `remarks`: a list that may
+    grow; its last remark is shown. `stopped`: the application also ends when it returns True.
     """
 
     ENABLE_COMMAND_PALETTE = False
@@ -139,13 +142,14 @@ class Monitor(App[None]):
         self._clock = HostClock()
         self._begin = time.monotonic()
         self._paused = self._ended = False
-        self._before = ""  # the filter, while another one is typed
-        self._rows: RowArray = np.zeros(0, ROW_DTYPE)  # of all ids, as they are shown
-        self._now = self._frames = 0  # when, and of how many frames
+        self._before = ""  # the filter before the one that is being typed
+        # All rows as they are shown, the time of this state (ns), and the number of their frames.
+        self._rows: RowArray = np.zeros(0, ROW_DTYPE)
+        self._now = self._frames = 0
 
     @property
     def error(self) -> Exception | None:
-        """What has ended the port."""
+        """The error that has ended the reading, or None."""
         return self._reader.error
 
     def compose(self) -> ComposeResult:
@@ -157,12 +161,12 @@ class Monitor(App[None]):
         with Horizontal(id="filter"):
             yield Static("Filter", markup=False)
             yield _FilterLine(placeholder="18F  123:7FF  #FF", compact=True)
-            yield Static("digits alone: the first of an id", markup=False)
+            yield Static("digits alone match the start of an id", markup=False)
         yield Static(id="wrong", markup=False)
         yield Footer(compact=True)
 
     def on_mount(self) -> None:
-        """Start to read."""
+        """Start the thread that reads."""
         self.query_one(Table).focus()
         self._reader.start()
         self.set_interval(_TICK_S, self._draw)
@@ -173,17 +177,17 @@ class Monitor(App[None]):
         if self._reader.is_alive():
             self._reader.stop()
 
-    # What keys do
+    # Actions of the keys
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Say which keys the footer shows: those of the table are off in the filter line."""
+        """Return whether the footer shows a key: those of the table are off in the filter line."""
         off = action in {"sort", "filter", "pause", "clear"} and isinstance(
             self.focused, _FilterLine
         )
         return not off and super().check_action(action, parameters)
 
     def action_sort(self, by: str) -> None:
-        """Sort; the second time the other way round."""
+        """Sort by a key; the second time in the reverse order."""
         heading = self.query_one(Heading)
         heading.descending = not heading.descending if heading.by == by else by in DESCENDING
         heading.by = by
@@ -191,12 +195,12 @@ class Monitor(App[None]):
         self._draw()
 
     def action_pause(self) -> None:
-        """Hold the table still, or let it go on; frames are counted all the time."""
+        """Pause or continue the display; frames are counted all the time."""
         self._paused = not self._paused
         self._draw()
 
     def action_clear(self) -> None:
-        """Forget the rows."""
+        """Remove all rows."""
         self._reader.table.clear()
         self._take()
         self._draw()
@@ -209,12 +213,12 @@ class Monitor(App[None]):
         line.focus()
 
     def action_cancel_filter(self) -> None:
-        """Close the filter line, and take back what was typed."""
+        """Close the filter line, and restore the filter before."""
         self.query_one(_FilterLine).value = self._filter = self._before
         self._close_filter()
 
     def on_input_changed(self, event: Input.Changed) -> None:
-        """Filter while it is typed."""
+        """Apply the filter while it is typed."""
         wrong = self.query_one("#wrong", Static)
         try:
             choose(self._rows, event.value)
@@ -227,7 +231,7 @@ class Monitor(App[None]):
         self._draw()
 
     def on_input_submitted(self) -> None:
-        """Close the filter line, unless what it says cannot be read."""
+        """Close the filter line, unless its filter cannot be read."""
         if not self.query_one("#wrong").display:
             self._close_filter()
 
@@ -236,23 +240,23 @@ class Monitor(App[None]):
         self.query_one(Table).focus()
         self._draw()
 
-    # What is shown
+    # The display
 
     def _take(self) -> None:
-        """Take the table as it is now."""
+        """Copy the present state of the table."""
         table = self._reader.table
         self._rows, self._frames, self._now = table.rows(), table.frames, self._clock()
 
     def _draw(self) -> None:
         if not self.is_running:
-            return  # on the way out, when the widgets are gone already
+            return  # the application is ending, and its widgets are gone
         if self._stopped():
             self.exit()
             return
         error = self.error
-        # Before the rows: so these never lack a frame that is counted.
+        # Before the rows, so that no counted frame is missing in the rows.
         self._stats = self._reader.stats
-        # The table of a device that is gone ages no more.
+        # When the device is gone the table stays as it is.
         if not self._paused and (error is None or not self._ended):
             self._take()
         self._ended = error is not None
@@ -269,7 +273,7 @@ class Monitor(App[None]):
         skipped = self._stats.bytes_skipped
         if skipped and not self._stats.frames:
             return (
-                f"{skipped:,} bytes have come, and no {self._port.protocol} frame among them: "
+                f"{skipped:,} bytes have come, but no {self._port.protocol} frame is among them: "
                 "are baud rate and protocol right?"
             )
         return "waiting for frames"
@@ -281,7 +285,7 @@ class Monitor(App[None]):
             text = f"{error}. The table stays as it was; q quits."
         elif others:
             text = (
-                f"{others:,} frames have no row, as there are so many ids: "
+                f"{others:,} frames have no row, because there are too many ids: "
                 "are baud rate and protocol right?"
             )
         elif self._remarks:
@@ -295,7 +299,7 @@ class Monitor(App[None]):
 
     def _show_status(self, shown: int) -> None:
         status = self.query_one(_Status)
-        # Its place stays the same: nothing else need be laid out anew.
+        # The size stays the same, so no other widget needs a new layout.
         status.update(self._status_text(shown, status.size.width), layout=False)
 
     def _status_text(self, shown: int, width: int) -> Text:
@@ -344,12 +348,12 @@ class Monitor(App[None]):
         return left + right
 
 
-# Of 78; wide enough for ten digits of frames.
+# Widths of the cells on a line of 78 characters; the first has room for ten digits.
 _CELLS: Final = (20, 16, 16, 15, 11)
 
 
 def _cells(cells: Sequence[tuple[str, str]], width: int, colour: str) -> Text:
-    """Return counters in columns: names and values; those that are not 0 in a colour."""
+    """Return counters, pairs of name and value, in columns; values other than 0 in a colour."""
     text = Text(no_wrap=True)
     for (name, value), share in zip(cells, _CELLS, strict=True):
         text.append(f"{name} ", "dim")

@@ -1,1 +1,1 @@
-"""Data where no adapter is: traffic, faults of a line, a virtual adapter."""
+"""Simulated adapters, bus traffic, and faults of a line."""

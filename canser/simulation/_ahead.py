@@ -1,4 +1,4 @@
-"""Parts of an iterable that a thread takes before they are asked for."""
+"""A thread that takes parts of a generator before they are asked for."""
 
 import queue
 import threading
@@ -12,17 +12,17 @@ __all__ = ["Ahead"]
 
 _Part = TypeVar("_Part")
 
-# Parts that are taken ahead. A text file is parsed in blocks of 16,384 frames, four parts, in
-# some 0.2 s: two blocks, so that there is one to send while the next is parsed.
+# Parts that are taken ahead. A text file is parsed in blocks of 16,384 frames, which are four
+# parts; a block takes some 0.2 s. So there are two blocks: one is sent while the next is parsed.
 _PARTS = 8
 
-# A thread whose source waits for bytes of a pipe cannot be ended: it is left to the end of the
-# process after this time. Any other has its part by then.
+# Time to wait for the end of the thread. A thread whose source waits for bytes of a pipe cannot be
+# ended, and is left to the end of the process. Any other source yields its part in less time.
 _JOIN_S = 1.0
 
 
 class Ahead(Generic[_Part]):
-    """The parts of a generator, some of them taken ahead by a thread; `ended` after the last."""
+    """The parts of a generator, taken ahead by a thread; `ended` is True after the last part."""
 
     def __init__(self, parts: Generator[_Part]) -> None:
         self.ended = False
@@ -32,9 +32,9 @@ class Ahead(Generic[_Part]):
         self._thread: threading.Thread | None = None
 
     def take(self, *, wait: bool) -> _Part | None:
-        """Return the next part; None if there is none, without `wait` if there is none yet.
+        """Return the next part, None after the last; without `wait`, None also if none is ready.
 
-        Raises what the generator has raised.
+        An exception of the generator is raised here.
         """
         if self.ended:
             return None
@@ -56,12 +56,12 @@ class Ahead(Generic[_Part]):
         return part
 
     def end(self) -> None:
-        """Take no more, and drop what was taken ahead."""
+        """Take no more parts, and drop those that were taken ahead."""
         self.ended = True
         self._room.release()
 
     def close(self) -> None:
-        """End, and end the thread."""
+        """End, and wait for the end of the thread."""
         self.end()
         if self._thread is not None:
             self._thread.join(_JOIN_S)
@@ -75,6 +75,6 @@ class Ahead(Generic[_Part]):
                 if self.ended:
                     break
             self._parts.close()
-        except BaseException as error:  # noqa: BLE001 - raised again where the part is taken
+        except BaseException as error:  # noqa: BLE001 - `take` raises it again
             last = error
         self._queue.put(last)

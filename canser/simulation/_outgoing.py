@@ -1,4 +1,4 @@
-"""What a simulated adapter sends: traffic and answers as bytes, accounted for to the byte."""
+"""The bytes that a simulated adapter sends: traffic and answers, with counters to the byte."""
 
 import collections
 from collections.abc import Generator, Iterable
@@ -15,42 +15,42 @@ from canser.simulation.traffic import damage
 
 __all__ = ["Block", "Counts", "Outgoing", "rounds"]
 
-# Frames that are encoded at once: some 50 KB, more than a terminal holds.
+# Frames that are encoded at once: some 50 KB, more than a terminal holds (12 to 20 KB).
 _FRAMES = 4096
 
-# Frames that are due within this time of the last ones go out together: a wake of the sender
-# for each frame would cost more than it shows, as a host's clock of arrivals is no finer.
+# Frames that are due within this time of each other go out together. Otherwise the sender would
+# wake for each frame, and a host does not measure arrivals more finely than this.
 _TOGETHER_NS = 200_000
 
-# Steps of the traffic's time that are no pauses, as in `canser play`: back, the clock of a
-# device that has started anew; forward, a false time out of noise.
+# Larger steps of the recorded time are no pauses, as in `canser play`. A step back: the device has
+# restarted its clock. A step forward: a false time out of noise.
 _BACK_NS = 1_000_000_000
 _FORWARD_NS = 3_600_000_000_000
 
-_Places = npt.NDArray[np.int64]
+_Offsets = npt.NDArray[np.int64]
 _Times = npt.NDArray[np.int64]
 
 
 @dataclass(slots=True)
 class Counts:
-    """What has gone out. Law: bytes == encoded - lost + inserted."""
+    """Counters of the traffic sent. The bytes sent are always encoded - lost + inserted."""
 
     frames: int = 0  # damaged ones too
-    intact: int = 0  # of these, without a hit
-    untimed: int = 0  # of all frames, those without a time
-    encoded: int = 0
+    intact: int = 0  # of the frames, those without a fault inside them
+    untimed: int = 0  # of the frames, those without a time
+    encoded: int = 0  # bytes of the frames before any fault
     lost: int = 0
     inserted: int = 0
     flipped: int = 0
 
     def add(self, other: "Counts") -> None:
-        """Add those of a block that is done."""
+        """Add the counters of a block."""
         for name in self.__slots__:
             setattr(self, name, getattr(self, name) + getattr(other, name))
 
 
 class Block:
-    """Some frames as they go over the line. `sent` says how many bytes of `data` have gone."""
+    """Frames as bytes on the line. The first `sent` bytes of `data` have gone out."""
 
     def __init__(
         self,
@@ -66,7 +66,7 @@ class Block:
         clean = encode(frames, protocol, ts_unit=ts_unit)
         self._untimed = np.append(0, np.cumsum(frames["ts"] == NO_TIME))
         starts = np.empty(len(frames), np.int64)
-        # Whoever decodes what was encoded finds where each frame begins.
+        # The decoder finds the offset of each frame.
         found = decode(clean, protocol, ts_unit=ts_unit, offsets=starts)
         assert len(found) == len(frames)
         ends = np.append(starts[1:], len(clean))
@@ -85,53 +85,53 @@ class Block:
         self.data = memoryview(hit.data)
         before_lost = np.searchsorted(hit.lost, hit.lost)
         self._lost = hit.lost - before_lost + np.searchsorted(hit.inserted, hit.lost)
-        self._inserted = _behind(hit.inserted, hit.lost) + np.arange(len(hit.inserted))
-        self._flipped = _behind(hit.flipped, hit.lost) + np.searchsorted(
+        self._inserted = _without_lost(hit.inserted, hit.lost) + np.arange(len(hit.inserted))
+        self._flipped = _without_lost(hit.flipped, hit.lost) + np.searchsorted(
             hit.inserted, hit.flipped, "right"
         )
-        self.ends = _behind(ends, hit.lost) + np.searchsorted(hit.inserted, ends)
-        # A byte that was added in front of a frame leaves it whole.
-        within = np.setdiff1d(hit.inserted, starts)
-        bad = np.concatenate((hit.lost, hit.flipped, within))
-        whole = np.ones(len(frames), np.int64)
-        whole[np.searchsorted(ends, bad, "right")] = 0
-        self._intact = np.append(0, np.cumsum(whole))
+        self.ends = _without_lost(ends, hit.lost) + np.searchsorted(hit.inserted, ends)
+        # A byte that was inserted in front of a frame does not damage it.
+        inside = np.setdiff1d(hit.inserted, starts)
+        bad = np.concatenate((hit.lost, hit.flipped, inside))
+        intact = np.ones(len(frames), np.int64)
+        intact[np.searchsorted(ends, bad, "right")] = 0
+        self._intact = np.append(0, np.cumsum(intact))
 
     @property
     def done(self) -> bool:
-        """Whether all of it has gone."""
+        """Whether all bytes have gone out."""
         return self.sent == len(self.data)
 
     def boundary(self) -> int:
-        """Return where the frame ends that is going out; where nothing is, where it stands."""
+        """Return the end of the frame that is going out; between two frames, the present offset."""
         if self.sent == 0:
             return 0
         return int(self.ends[self.ends.searchsorted(self.sent)])
 
     def due_end(self, elapsed_ns: int) -> int:
-        """Return where the last frame ends that is due by a time."""
+        """Return the end of the last frame that is due by a time."""
         count = int(self._due.searchsorted(elapsed_ns, "right"))
         return int(self.ends[count - 1]) if count else 0
 
     def next_due(self) -> int:
-        """Return when the next byte is due; there must be one."""
+        """Return the time at which the next byte is due; there must be one."""
         return int(self._due[self.ends.searchsorted(self.sent, "right")])
 
     def counts(self) -> Counts:
-        """Return what has gone out so far."""
+        """Return the counters of the bytes that have gone out."""
         lost, inserted, flipped = (
-            int(np.searchsorted(places, self.sent))
-            for places in (self._lost, self._inserted, self._flipped)
+            int(np.searchsorted(offsets, self.sent))
+            for offsets in (self._lost, self._inserted, self._flipped)
         )
         if self.done:
-            lost = len(self._lost)  # those behind the last byte too
+            lost = len(self._lost)  # bytes lost after the last sent byte too
         encoded = self.sent + lost - inserted
         frames = int(np.searchsorted(self._clean_ends, encoded, "right"))
         intact, untimed = int(self._intact[frames]), int(self._untimed[frames])
         return Counts(frames, intact, untimed, encoded, lost, inserted, flipped)
 
     def counts_cut(self) -> Counts:
-        """Return what has gone out, with the rest of the frame that is going out as lost."""
+        """Return the counters, with the rest of the frame that is going out as lost."""
         counts = self.counts()
         begin = self._clean_ends[counts.frames - 1] if counts.frames else 0
         if counts.encoded > begin:
@@ -143,29 +143,29 @@ class Block:
         return counts
 
 
-def _behind(places: _Places, lost: _Places) -> _Places:
-    """Return where bytes come to lie when the lost ones before them are gone."""
-    return places - np.searchsorted(lost, places)
+def _without_lost(offsets: _Offsets, lost: _Offsets) -> _Offsets:
+    """Return the offsets of bytes when the lost bytes before them are removed."""
+    return offsets - np.searchsorted(lost, offsets)
 
 
 class _Schedule:
-    """When frames are due, in nanoseconds from the first one with a time.
+    """The times at which frames are due, in nanoseconds from the first frame with a time.
 
-    A frame without a time is due with the one before it, and so is one out of order.
+    A frame without a time, or out of order, is due together with the frame before it.
     """
 
     def __init__(self) -> None:
-        self.elapsed = 0  # of the recorded time, without its jumps
+        self.elapsed = 0  # nanoseconds of the recorded time, without its jumps
         self._before: int | None = None  # the last recorded time of this round
-        self._last = 0  # when the last frame is due
+        self._last = 0  # the time at which the last frame is due
 
     def start_round(self, pause_ns: int) -> None:
-        """Let the next frame follow after a pause, whatever its recorded time is."""
+        """Let the next frame follow after a pause, without regard to its recorded time."""
         self._before = None
         self.elapsed += pause_ns
 
     def due(self, ts: _Times) -> _Times:
-        """Return when the next frames are due, one or more."""
+        """Return the times at which the next frames are due; there must be at least one."""
         due = np.full(len(ts), self._last, np.int64)
         timed = ts != NO_TIME
         times = ts[timed]
@@ -183,10 +183,10 @@ class _Schedule:
 def rounds(
     traffic: FrameArray | Iterable[FrameArray], *, loop: bool
 ) -> Generator[tuple[FrameArray, _Times]]:
-    """Yield the frames of some traffic in arrays for a block each, for ever with `loop`.
+    """Yield the frames of the traffic in arrays of one block, for ever with `loop`.
 
-    With them comes when they are due, in nanoseconds from the first one. Each round's times
-    go on where the round before has ended.
+    With each array comes an array of the times at which the frames are due, in nanoseconds from
+    the first frame. The times of each round continue those of the round before.
     """
     shift = 0
     schedule = _Schedule()
@@ -208,19 +208,23 @@ def rounds(
                 yield frames, due
         if not loop or not count:
             return
-        # The time between two frames is that between two rounds.
+        # The pause between two rounds is the mean time between two frames.
         shift += (last - first) + (last - first) // max(count - 1, 1)
         schedule.start_round((schedule.elapsed - begin) // max(count - 1, 1))
 
 
 class Outgoing:
-    """The bytes that are to go out: those of the traffic, and answers between two frames.
+    """The bytes to send: those of the traffic, and answers between two frames.
 
-    `timed`: the traffic goes out by its times; None: if any of the first frames has one, and
-    then it is set. What `next` returns is offered, and what `wrote` says of it has gone.
-    `answering` counts the bytes of answers that wait. Traffic that is no array is taken ahead
-    by a thread, for to read and to parse it takes longer than two frames are apart; `starved`:
-    no more of it has come yet.
+    `next` offers bytes, and `wrote` says how many of them have gone out.
+
+    Traffic that is no array is taken ahead by a thread: reading and parsing it takes longer than
+    the time between two frames.
+
+    `timed`: whether the traffic goes out by its times. None: the first frames decide, by whether
+    any has a time; then it is set.
+    `answering`: the bytes of answers that wait. `answered`: those that have gone out.
+    `starved`: whether the thread has no part ready, though the traffic has not ended.
     """
 
     def __init__(
@@ -242,24 +246,25 @@ class Outgoing:
         self._ahead = None if isinstance(traffic, np.ndarray) else Ahead(self._traffic)
         self.starved = False
         self.timed = timed
-        self._begun = False  # the first frames have been looked at
+        self._begun = False  # whether `timed` is decided
         self._config: AdapterReport | None = None
-        self._rest: tuple[FrameArray, _Times] | None = None  # of a block that was cut
-        # What the block is made of, and when it is due.
+        # Frames with the times at which they are due: those of the block before the filter, and
+        # those left over from a block that was cut.
         self._chunk = np.empty(0, FRAME_DTYPE), np.empty(0, np.int64)
-        self._kept = np.empty(0, np.int64)  # the places in it of the block's frames
+        self._rest: tuple[FrameArray, _Times] | None = None
+        self._kept = np.empty(0, np.int64)  # the indices in the chunk of the block's frames
         self._block: Block | None = None
         self._blocks = 0
-        self._renewing = False  # at the end of the frame that is going out, the block is cut
+        self._renewing = False  # the block is cut after the frame that is going out
         self._answers: collections.deque[memoryview] = collections.deque()
-        self._answer_begun = False  # the first one is going out
+        self._answer_begun = False  # a part of the first answer has gone out
         self._answer_offered = False
         self._done = Counts()
         self.answering = 0
         self.answered = 0
 
     def counts(self) -> Counts:
-        """Return what of the traffic has gone out."""
+        """Return the counters of the traffic that has gone out."""
         counts = Counts()
         counts.add(self._done)
         if self._block is not None:
@@ -267,16 +272,16 @@ class Outgoing:
         return counts
 
     def answer(self, packet: bytes) -> None:
-        """Send a packet between two frames, as soon as may be."""
+        """Send a packet as soon as possible, between two frames."""
         self._answers.append(memoryview(packet))
         self.answering += len(packet)
 
     def configure(self, config: AdapterReport | None) -> None:
-        """Send only frames that pass the filter, behind the frame that is going out."""
+        """Send only frames that pass the filter, after the frame that is going out."""
         self._config, self._renewing = config, True
 
     def end(self) -> None:
-        """End the traffic behind the frame that is going out."""
+        """End the traffic after the frame that is going out."""
         if self._ahead is None:
             self._traffic.close()
         else:
@@ -285,7 +290,7 @@ class Outgoing:
         self._chunk, self._rest, self._renewing = (frames[:0], due[:0]), None, True
 
     def close(self) -> None:
-        """Let go of the traffic."""
+        """Close the traffic, and end the thread."""
         if self._ahead is None:
             self._traffic.close()
         else:
@@ -296,7 +301,7 @@ class Outgoing:
         return bool(self._answers) or self._load() is not None or self.starved
 
     def next(self, room: int, elapsed_ns: int) -> memoryview:
-        """Return the next bytes to send, `room` at most; none if none are due."""
+        """Return the next bytes to send, `room` at most; empty if none are due."""
         self._answer_offered = bool(self._answers) and (
             self._answer_begun or self._block is None or self._block.sent == self._block.boundary()
         )
@@ -311,14 +316,14 @@ class Outgoing:
         return block.data[block.sent : min(end, block.sent + room)]
 
     def wait_ns(self, elapsed_ns: int) -> int:
-        """Return for how long nothing is to go out, when `next` has returned nothing."""
+        """Return the nanoseconds until bytes are due, when `next` has returned none."""
         block = self._load()
         if block is None or not self.timed:
             return 0
         return max(block.next_due() - elapsed_ns, _TOGETHER_NS)
 
     def wrote(self, count: int) -> None:
-        """Take note that so many bytes of those that were offered have gone."""
+        """Count bytes of those that `next` has offered as gone out."""
         if self._answer_offered:
             self.answered += count
             self.answering -= count
@@ -330,13 +335,13 @@ class Outgoing:
             self._block.sent += count
 
     def cut(self) -> None:
-        """Go on with the next frame; the rest of the one going out is lost, and all answers."""
+        """Go on with the next frame; the rest of the one going out and all answers are lost."""
         self._cut()
         self._answers.clear()
         self._answer_begun, self.answering = False, 0
 
     def _load(self) -> Block | None:
-        """Return the block to send from; None when all has gone, or it is starved."""
+        """Return the block to send from; None after the last block, or while starved."""
         block = self._block
         if self._renewing and block is not None and block.sent == block.boundary():
             self._cut()
@@ -356,13 +361,13 @@ class Outgoing:
     def _next_chunk(self) -> tuple[FrameArray, _Times] | None:
         if self._ahead is None:
             return next(self._traffic, None)
-        # The first frames are waited for: they tell by what they are to be paced.
+        # The first frames are waited for: they decide `timed`.
         chunk = self._ahead.take(wait=not self._begun)
         self.starved = chunk is None and not self._ahead.ended
         return chunk
 
     def _cut(self) -> None:
-        """Take leave of the block; the frames behind the one going out are the rest."""
+        """Drop the block; the frames after the one that is going out become the rest."""
         if self._block is not None:
             counts = self._block.counts_cut()
             self._done.add(counts)
@@ -373,7 +378,7 @@ class Outgoing:
             self._block = None
 
     def _encode(self, frames: FrameArray, due: _Times) -> None:
-        """Make the next block, of the frames that pass the filter."""
+        """Make the next block of the frames that pass the filter."""
         if not self._begun and len(frames):
             self._begin(frames)
         self._chunk, self._kept = (frames, due), np.flatnonzero(self._passed(frames))
@@ -391,13 +396,13 @@ class Outgoing:
         )
 
     def _begin(self, first: FrameArray) -> None:
-        """Find out whether there are times to send by."""
+        """Decide whether the traffic goes out by its times."""
         self._begun = True
         any_time = bool((first["ts"] != NO_TIME).any())
         if self.timed and not any_time:
             raise ValueError(
                 "pace 'traffic' sends frames by their times, and these have none; "
-                "use 'line' or 'max'"
+                "give pace 'line' or 'max'"
             )
         if self.timed is None:
             self.timed = any_time

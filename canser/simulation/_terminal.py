@@ -1,10 +1,12 @@
 """A pseudo terminal, seen from the side of the device.
 
-Linux's rules that this module is built on: the terminal holds 12 to 20 KB, then takes no
-more and loses nothing. Closing the device's side throws away what the host has not read.
-In packet mode (ioctl_tty(2), TIOCPKT) the device is told when the host flushes its input.
-Only who holds a descriptor of the host's side can tell whether all was read, and with such
-a descriptor held, no hangup tells whether the host is there: inotify(7) does.
+This module relies on these rules of Linux:
+
+- The terminal holds 12 to 20 KB. When it is full it takes no more bytes, and loses none.
+- Closing the device's side throws away the bytes that the host has not read.
+- In packet mode (ioctl_tty(2), TIOCPKT) the device learns that the host has flushed its input.
+- Only a descriptor of the host's side shows whether all bytes were read. While the device holds
+  such a descriptor, it sees no hangup when the host goes. inotify(7) reports that instead.
 """
 
 import contextlib
@@ -25,18 +27,18 @@ __all__ = ["Symlink", "Terminal"]
 
 _OPENED: Final = 0x20  # IN_OPEN
 _CLOSED: Final = 0x08 | 0x10  # IN_CLOSE_WRITE, IN_CLOSE_NOWRITE
-_EVENT: Final = struct.Struct("iIII")  # watch, mask, cookie, length of the name: none here
+_EVENT: Final = struct.Struct("iIII")  # watch, mask, cookie, length of the name (here 0)
 
-# Two openings at once are one event, and then the second closing could be taken for the
-# last. So a host that is believed to be away is looked for this often.
+# inotify merges two openings at once into one event, so a closing can look like the last one
+# although a host is still there. So a host that seems away is looked for at this interval.
 _LOOK_EVERY_S: Final = 1.0
 
 
 class Terminal:
-    """A raw pseudo terminal; `path` is what the host opens.
+    """A raw pseudo terminal; the host opens `path`. Not blocking, for one thread.
 
-    Both sides are its own: hosts may come and go. Not blocking, for one thread. OSError
-    if the system has no terminal left, PortError where there are none at all.
+    It holds descriptors of both sides, so hosts may come and go. OSError if the system has no
+    terminal left, PortError where there are none at all.
     """
 
     def __init__(self) -> None:
@@ -57,52 +59,52 @@ class Terminal:
             self._flush_mark = termios.TIOCPKT_FLUSHREAD
             self._watch = _Watch(self.path) if sys.platform == "linux" else None
             opening.pop_all()
-        # Where nothing tells, the host is taken to be there.
+        # Without inotify the host is assumed to be there.
         self.open = self._watch is None
         self._looked = time.monotonic()
 
     def register(self, waiting: "select.poll", wanted: int) -> None:
-        """Have `waiting` wait for the host, at the terminal for `wanted`."""
+        """Let `waiting` wait for the host to open or close, and for the events `wanted`."""
         waiting.register(self._device, wanted)
         if self._watch is not None:
             waiting.register(self._watch.fd, select.POLLIN)
 
     def look(self, *, noticed: bool) -> bool:
-        """Find out whether a host has it `open`; return whether one has opened it just now.
+        """Set `open`, whether a host has the terminal open; return whether one has just opened it.
 
-        `noticed`: something was waited for and has come.
+        `noticed`: whether an event has come since the last call.
         """
         if self._watch is None:
             return False
         seen = self._watch.read() if noticed else 0
         if seen & _CLOSED or (not self.open and time.monotonic() > self._looked + _LOOK_EVERY_S):
             before, self.open = self.open, self._probe()
-            # A host that closes and opens again may be too quick for the probe.
+            # A host may close and open again before the probe looks.
             return self.open and (not before or bool(seen & _OPENED))
         if seen & _OPENED:
             self.open = True
         return bool(seen & _OPENED)
 
     def read(self) -> tuple[bytes, bool]:
-        """Return what the host has written, and whether it has flushed its input."""
+        """Return the bytes that the host has written, and whether it has flushed its input."""
         try:
             packet = os.read(self._device, 65_536)
         except BlockingIOError:
             return b"", False
-        # In packet mode the first byte tells: 0 for data, or a set of marks.
+        # In packet mode the first byte is 0 for data, otherwise a set of flags.
         return (packet[1:], False) if packet[0] == 0 else (b"", bool(packet[0] & self._flush_mark))
 
     def write(self, data: memoryview) -> int:
-        """Write what goes in; return how many bytes did."""
+        """Write as many bytes as the terminal has room for; return their number."""
         try:
             return os.write(self._device, data)
         except BlockingIOError:
             return 0
 
     def drained(self) -> bool:
-        """Return whether the host has read all that was written."""
-        # Polling waits for what the kernel has under way between the two sides; but the
-        # reader may just be asking it for more, so once is not enough.
+        """Return whether the host has read all bytes that were written."""
+        # Polling waits for bytes that the kernel is moving between the two sides. But a reader
+        # may make the kernel move more at this moment, so one look is not enough.
         for _ in range(3):
             waiting = select.poll()
             waiting.register(self._host, select.POLLIN)
@@ -112,7 +114,7 @@ class Terminal:
         return True
 
     def close(self) -> int:
-        """Hang up; return the bytes that were written and not read by the host."""
+        """Hang up; return the number of bytes that were written and not read by the host."""
         unread = 0
         with contextlib.suppress(BlockingIOError):
             while part := os.read(self._host, 65_536):
@@ -127,17 +129,18 @@ class Terminal:
         import termios  # noqa: PLC0415
         import tty  # noqa: PLC0415
 
-        # Not tty.setraw's default, which throws away what waits.
+        # The default of tty.setraw, TCSAFLUSH, would throw away the bytes that wait.
         tty.setraw(self._host, termios.TCSANOW)
 
     def _probe(self) -> bool:
-        """Return whether a host has it open: if not, it hangs up without our own descriptor."""
+        """Return whether a host has the terminal open; if none has, closing our side hangs up."""
         import fcntl  # noqa: PLC0415
         import termios  # noqa: PLC0415
 
         assert self._watch is not None
         self._watch.stop()
-        # A host's claim outlives it on a pseudo terminal: no host could open it again.
+        # On a pseudo terminal the exclusive mode outlives the host that has set it (TIOCEXCL).
+        # Otherwise no host could open the terminal again.
         fcntl.ioctl(self._host, termios.TIOCNXCL)
         os.close(self._host)
         hung = select.poll()
@@ -146,7 +149,7 @@ class Terminal:
         self._host = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         self._watch.start()
         if not there:
-            self._make_raw()  # whatever the last host has set
+            self._make_raw()  # the last host may have set another mode
         self._looked = time.monotonic()
         return there
 
@@ -175,7 +178,7 @@ class _Watch:
         self._libc.inotify_rm_watch(self.fd, self._number)
 
     def read(self) -> int:
-        """Return what has happened, any number of times, as a set of bits."""
+        """Return the kinds of all events since the last call, as a set of bits."""
         seen = 0
         with contextlib.suppress(BlockingIOError):
             for _, mask, _, _ in _EVENT.iter_unpack(os.read(self.fd, 64 * _EVENT.size)):
@@ -191,10 +194,10 @@ class _Watch:
 
 
 class Symlink:
-    """A name that stays while terminals come and go: a symbolic link. "" for none.
+    """A symbolic link that stays while terminals come and go; path "" for none.
 
-    FileExistsError if there is something else of that name, a link that leads to no terminal
-    among it. A link to a terminal is replaced: a simulator that was killed has left it.
+    FileExistsError if the path is something else, even a link that leads to no terminal. A link
+    to a terminal is replaced: a simulator that was killed has left it.
     """
 
     def __init__(self, path: str) -> None:
@@ -202,7 +205,7 @@ class Symlink:
         self._target = ""
 
     def point(self, target: str) -> None:
-        """Make it, or point it elsewhere, in one step."""
+        """Make the link, or change its target, in one step."""
         if self._path is None:
             return
         if self._path.exists() and not (self._path.is_symlink() and self._path.is_char_device()):
@@ -210,14 +213,14 @@ class Symlink:
                 errno.EEXIST, "there already, and no link to a terminal", str(self._path)
             )
         fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
-        # The error names the terminal, which is not at fault.
+        # Otherwise the error would name the terminal, which is not at fault.
         with named(str(self._path), always=True):
             fresh.symlink_to(target)
             fresh.replace(self._path)
         self._target = target
 
     def remove(self) -> None:
-        """Remove it, unless it points elsewhere by now."""
+        """Remove the link, unless it has another target by now."""
         if self._path is not None and self._target:
             with contextlib.suppress(FileNotFoundError, OSError):
                 if os.readlink(self._path) == self._target:  # noqa: PTH115

@@ -1,4 +1,4 @@
-"""A simulated adapter on a pseudo terminal: a device where no device is."""
+"""A simulated adapter on a pseudo terminal, for tests and trials without hardware."""
 
 import collections
 import contextlib
@@ -35,63 +35,90 @@ PACES: Final = ("traffic", "line", "max")
 
 _MS: Final = 1_000_000  # nanoseconds
 
-# What the line carries is sent this often, as USB adapters do: 4,000 bytes of the fastest line,
-# of which a terminal holds 12,000 at least, for one percent of a processor.
+# At the pace "line" the bytes go out at this interval, as USB adapters send in bundles. At
+# 2 Mbaud that is 4,000 bytes, and a terminal holds at least 12,000. It costs 1 % of a processor.
 _TICK_NS: Final = 20 * _MS
 
-# pyserial flushes the input right after opening: nothing is sent before that. Other hosts
-# do not, and get their bytes after this time.
+# pyserial flushes the input right after opening: bytes sent before that would be lost. A host
+# that does not flush gets its first bytes after this time.
 _SETTLE_NS: Final = 100 * _MS
 
-# Bytes on the line for one of data: a start and a stop bit go with eight bits.
-_BITS: Final = 10
+# Bits on the line for one byte: a start bit, eight data bits and a stop bit.
+_BYTE_BITS: Final = 10
 
-# A host that sends and does not read is made to wait when so many bytes wait for it.
-_ANSWERS_MAX: Final = 1 << 20
+# Bytes of answers that may wait for the host. At this limit the adapter reads no more from the
+# host; otherwise a host that sends and does not read would fill the memory.
+_ANSWERS_MOST: Final = 1 << 20
 
-# The newest frames of the host that are kept.
+# Frames from the host that are kept, the newest ones.
 _RECEIVED_KEPT: Final = 1 << 16
 
-# A look at a host that is away, or does not read: the terminal wakes us, but for rare cases.
+# The terminal wakes the thread when the host opens it or reads. In rare cases it does not, so the
+# thread also looks at these intervals: while no host is there, and while the terminal is full.
 _LOOK_NS: Final = 1_000 * _MS
 _FULL_NS: Final = 50 * _MS
 
-# After so many bytes a look at what the host sends.
-_BURST: Final = 1 << 18
+# Bytes sent at most before the thread looks again at what the host has sent.
+_BURST_BYTES: Final = 1 << 18
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatorReport:
-    """What a simulator has done, to the byte.
+    """What a simulator has done so far, to the byte; made by `Simulator.report`.
 
-    Law: `bytes_sent == bytes_encoded - bytes_lost + bytes_inserted + bytes_answered`. Of
-    these the host has read all but `bytes_unread`, and what it has itself thrown away
+    Notes
+    -----
+    `bytes_sent == bytes_encoded - bytes_lost + bytes_inserted + bytes_answered` always holds. The
+    host has read all bytes sent, except `bytes_unread` and what the host itself has thrown away
     (`flushes`).
     """
 
+    #: The protocol, a name of `canser.protocols()`.
     protocol: str
-    pace: str  # "traffic", "line" or "max"
-    frames: int  # of the traffic that were sent, damaged ones too
-    frames_intact: int  # of these, with no byte lost, flipped or added within
-    frames_untimed: int  # of all that were sent, those without a time
-    bytes_encoded: int  # of these frames
-    bytes_lost: int  # by injected faults
+    #: How the traffic is paced: "traffic", "line" or "max", as for `Simulator`.
+    pace: str
+    #: Frames of the traffic that were sent, damaged ones too.
+    frames: int
+    #: Of `frames`, those with no byte lost, flipped or inserted inside them.
+    frames_intact: int
+    #: Of `frames`, those without a time.
+    frames_untimed: int
+    #: Bytes of `frames` before any fault.
+    bytes_encoded: int
+    #: Of `bytes_encoded`, those lost by noise or loss, or in a frame that an unplugging has cut.
+    bytes_lost: int
+    #: Bytes that noise has inserted.
     bytes_inserted: int
+    #: Bytes of which noise has flipped one bit.
     bytes_flipped: int
-    bytes_answered: int  # of answers, and of frames that were sent back
-    bytes_sent: int  # that the terminal took
-    bytes_unread: int  # of these, not read by the host before the end or an unplugging
-    flushes: int  # times that the host has thrown away its input after the first byte
+    #: Bytes of answers, and of the host's frames that were sent back.
+    bytes_answered: int
+    #: Bytes that the terminal took.
+    bytes_sent: int
+    #: Of `bytes_sent`, those that the host had not read when the adapter was unplugged or closed.
+    bytes_unread: int
+    #: How often the host has thrown away its input after the first byte was sent.
+    flushes: int
+    #: How often the adapter has stalled.
     stalls: int
+    #: How often the adapter was unplugged.
     unplugs: int
-    frames_received: int  # from the host
-    frames_echoed: int  # of these, sent back
+    #: Frames from the host.
+    frames_received: int
+    #: Of `frames_received`, those that were sent back.
+    frames_echoed: int
+    #: Bytes from the host, without `bytes_ignored`.
     bytes_received: int
-    bytes_skipped: int  # of these, inside no packet
-    bytes_ignored: int  # from the host while the adapter was deaf; not among those received
-    packets_swallowed: int  # from the host, each right behind a configuration
-    controls: Mapping[str, int]  # packets from the host that are no frames, by their kind
-    configuration: AdapterReport | None  # the last one
+    #: Of `bytes_received`, those inside no packet.
+    bytes_skipped: int
+    #: Bytes from the host that came while the adapter was deaf; not part of `bytes_received`.
+    bytes_ignored: int
+    #: Packets from the host that were ignored, each the first one after a configuration.
+    packets_swallowed: int
+    #: Packets from the host that are no frames, by their kind, such as "ping"; read-only.
+    controls: Mapping[str, int]
+    #: The last configuration from the host; None if there is none.
+    configuration: AdapterReport | None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "controls", ReadOnlyDict(self.controls))
@@ -101,35 +128,92 @@ _NO_FAULTS: Final = Faults()
 
 
 class Simulator(Uncopied):
-    """A serial CAN adapter that is not there: a pseudo terminal, and a thread that serves it.
+    """A simulated serial CAN adapter: a pseudo terminal, served by a thread; a context manager.
 
-    `protocol`: a name of `protocols()`. `traffic`: the frames it sends: an array of
-    FRAME_DTYPE, or an iterable of such; with `loop` over and over, their times going on.
+    The adapter is plugged in when the `with` block begins, and unplugged for good when the block
+    ends.
+
+    Parameters
+    ----------
+    protocol : str
+        What the adapter speaks: a name of `canser.protocols()` or an accepted spelling.
+    traffic : numpy.ndarray or iterable of numpy.ndarray, optional
+        The frames to send: an array of FRAME_DTYPE, shape (n,), or an iterable of such arrays.
+        The first frames are taken when the `with` block begins. A thread takes the parts of an
+        iterable before they are due; while no part is there, the adapter pauses.
+    ts_unit : {"ms", "us", "ns", "s"}, default "ms"
+        Unit of the device's timestamps, as for `canser.Decoder`.
+    loop : bool, default False
+        Whether to send the traffic over and over. The times of each round continue those of the
+        round before. An iterable must then be one that can be read again, such as a list.
+    pace : {"traffic", "line", "max"}, optional
+        How fast to send. "traffic": by the frames' times, as an adapter on a bus does; a frame
+        without a time goes out with the frame before it. "line": as fast as the serial line
+        carries at `baudrate`, which may be more than a bus carries. "max": as fast as the host
+        reads. Default: "line" if `baudrate` is given or none of the first frames has a time,
+        otherwise "traffic"; `report` says which.
+    baudrate : int, optional
+        Bits per second of the serial line, for the pace "line". Default: that of the protocol's
+        adapters.
+    echo : bool, default False
+        Whether to send the host's frames back.
+    faults : Faults, optional
+        What goes wrong on purpose. Default: nothing.
+    link : str, default ""
+        Path of a symbolic link to the terminal, "" for none. The link stays the same while the
+        name of the terminal changes with each `replug`.
+    copy : binary file, optional
+        A file, open for writing, that gets exactly the bytes that were sent.
+
+    Raises
+    ------
+    TypeError
+        For an argument of another type.
+    ValueError
+        For an argument out of range, or an unknown name. When the `with` block begins: for first
+        frames that the protocol cannot carry, and for the pace "traffic" if they have no times.
+    PortError
+        When the `with` block begins: where there are no pseudo terminals, as on Windows, or no
+        thread can be started.
+    OSError
+        When the `with` block begins: if the system has no terminal left, or the link cannot be
+        made. FileExistsError if `link` is a file, or a link to anything but a terminal.
+
+    Attributes
+    ----------
+    protocol : str
+        The protocol, a name of `canser.protocols()`.
+    echo : bool
+        Whether the host's frames are sent back. It may be changed at any time.
+    mute : bool
+        Whether the adapter answers no ping and no request for its status; at first
+        `faults.mute`. It may be changed at any time.
+
+    Notes
+    -----
     Sending begins when a host has opened `url`: as soon as the host has flushed its input, or
-    0.1 s later. It pauses while no host has it open and while the terminal is full; so nothing
-    is lost that is not lost on purpose. An iterable is taken ahead, by a thread; it pauses while
-    no more has come.
+    0.1 s later. It pauses while no host has the terminal open, and while the terminal is full.
+    So no bytes are lost except on purpose.
 
-    `pace`: "traffic" sends by the frames' times, as an adapter on a bus does; a frame without
-    a time goes out with the one before it. "line" sends as fast as the serial line of
-    `baudrate` (default: that of the adapters) carries, which may be more than a bus carries,
-    "max" as fast as the host reads. By default it is "traffic", but "line" where a baudrate is
-    given or the first frames have no time at all; `report` tells which.
+    The adapter answers as a real one does. It sends a ping, and the answer to a request for its
+    status (without bus errors), between two frames. It takes a configuration, and from then on
+    sends only frames that pass its filter. It sends the host's frames back if `echo` is set or
+    the configured mode is a loopback. Frames of its traffic always have the variable form.
 
-    It behaves as an adapter does: sends ping and status request straight back (there are no
-    bus errors) between two frames, unless it is `mute`; takes a configuration, sends only frames
-    that pass its filter, and in a mode of loopback, or with `echo`, sends the host's frames
-    back. Frames always have the variable form.
+    An error of the thread, such as a later frame that the protocol cannot carry, is raised by
+    `wait`, by `wait_unplugged`, and at the end of the `with` block.
 
-    `faults`: what goes wrong on purpose.
-
-    `link`: a path where a symbolic link stands for the terminal, whose own name changes
-    with each `replug`. `copy`: a binary file that gets the very bytes that were sent.
-
-    A context manager: plugged in at its start, unplugged and gone at its end. ValueError
-    for wrong arguments; PortError where there are no pseudo terminals. The first frames are
-    taken at the start. What the thread fails at, as later frames that the format cannot
-    carry, comes from `wait` and at the end.
+    Examples
+    --------
+    >>> frames = canser.frames("123#DEADBEEF", "124#01")
+    >>> with canser.Simulator("seeed", frames) as device:
+    ...     with canser.open(device.url, "seeed") as port:
+    ...         batch = port.read_batch(min_frames=2, timeout=5)
+    ...     report = device.report()
+    >>> batch["id"]
+    array([291, 292], dtype=uint32)
+    >>> report.frames, report.bytes_unread
+    (2, 0)
     """
 
     def __init__(
@@ -176,16 +260,16 @@ class Simulator(Uncopied):
             loss=faults.loss,
             seed=faults.seed,
         )
-        self._elapsed_ns = 0  # in which it could send
+        self._elapsed_ns = 0  # the time in which bytes could go out
         self._stepped_ns = 0  # when the last step was
-        self._sending = False  # the time since then counts
-        self._settled_ns = 0  # when a host that has opened it is taken to be ready
+        self._sending = False  # whether the time since the last step counts as elapsed
+        self._settled_ns = 0  # when the host is ready, unless it flushes its input before
         self._stalled_until_ns = 0
         self._deaf_until_ns = 0
-        self._swallowing = False  # the next packet of the host is ignored
-        self._left = False  # bytes lie in the terminal that the last host did not read
+        self._swallowing = False  # the next packet from the host is ignored
+        self._left = False  # the last host has left bytes unread in the terminal
         self._full = False
-        self._noticed = False  # something of the host
+        self._noticed = False  # the host has opened, closed, written or flushed
         self._finished = False
 
         self._bytes_sent = self._bytes_unread = 0
@@ -207,7 +291,7 @@ class Simulator(Uncopied):
             collections.deque()
         )
         self._closing = False
-        self._ended = threading.Event()  # all is sent and read, or it never will be
+        self._ended = threading.Event()  # all is sent and read, or the thread has ended
         self._unplugged = threading.Event()
         self._error: BaseException | None = None
 
@@ -220,7 +304,7 @@ class Simulator(Uncopied):
             self._plug()
             opening.callback(self._hang_up)
             opening.callback(self._out.close)
-            self._out.ready()  # takes the first frames, and so the pace is known
+            self._out.ready()  # takes the first frames, which decide the pace
             thread = threading.Thread(target=self._serve, name="canser simulator", daemon=True)
             start_thread(thread, "the simulator", PortError)
             opening.pop_all()
@@ -234,23 +318,23 @@ class Simulator(Uncopied):
 
     @property
     def url(self) -> str:
-        """What the host opens: the link, or the terminal as it is called now."""
+        """The path that the host opens: the link, or the present name of the terminal."""
         return self._link_path or self._path
 
     @property
     def connected(self) -> bool:
-        """Whether a host has it open; always true where the system does not tell."""
+        """Whether a host has the terminal open; always True where the system does not report it."""
         terminal = self._terminal
         return terminal is not None and terminal.open
 
     @property
     def finished(self) -> bool:
-        """Whether all traffic is sent; `wait` tells whether it is read, too."""
+        """Whether all traffic is sent. `wait` returns whether the host has also read it."""
         return self._finished
 
     @property
     def received(self) -> FrameArray:
-        """The frames from the host, oldest first, the newest 65,536 of them: a new array."""
+        """The newest 65,536 frames from the host, oldest first: a new array of FRAME_DTYPE."""
         with self._lock:
             parts = list(self._received)
         kept = concat(parts)
@@ -258,11 +342,17 @@ class Simulator(Uncopied):
 
     @property
     def configuration(self) -> AdapterReport | None:
-        """The last configuration that the host has sent."""
+        """The last configuration from the host; None if there is none."""
         return self._configuration
 
     def report(self) -> SimulatorReport:
-        """Return what was done so far."""
+        """Return what was done so far.
+
+        Returns
+        -------
+        SimulatorReport
+            The counters of this moment.
+        """
         with self._lock:
             sent = self._out.counts()
             stats = self._decoder.stats
@@ -293,22 +383,53 @@ class Simulator(Uncopied):
             )
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until all traffic is sent, and read by the host; return whether it is.
+        """Wait until all traffic is sent, and read by the host.
 
-        It goes on to answer then. Raises what the thread has failed at.
+        The adapter goes on to answer the host after that.
+
+        Parameters
+        ----------
+        timeout : float or None, seconds
+            How long to wait; None for ever.
+
+        Returns
+        -------
+        bool
+            Whether all traffic is sent and read.
+
+        Raises
+        ------
+        Exception
+            The error that has ended the thread.
         """
         self._ended.wait(check_timeout(timeout))
         self._raise()
         return self._ended.is_set()
 
     def wait_unplugged(self, timeout: float | None = None) -> bool:
-        """Wait until it has unplugged itself; return whether it has."""
+        """Wait until the adapter is unplugged, as after `Faults.unplug_after` bytes.
+
+        Parameters
+        ----------
+        timeout : float or None, seconds
+            How long to wait; None for ever.
+
+        Returns
+        -------
+        bool
+            Whether the adapter is unplugged.
+
+        Raises
+        ------
+        Exception
+            The error that has ended the thread.
+        """
         self._unplugged.wait(check_timeout(timeout))
         self._raise()
         return self._unplugged.is_set()
 
     def stop(self) -> None:
-        """End the traffic with the frame that is going out. `wait` waits for its bytes."""
+        """End the traffic after the frame that is going out; `wait` waits for that frame."""
 
         def stop() -> None:
             self._out.end()
@@ -318,10 +439,22 @@ class Simulator(Uncopied):
         self._do(stop)
 
     def unplug(self, *, drain: bool = True, timeout: float | None = None) -> bool:
-        """Pull the plug: the host's side hangs up. Return whether it is out.
+        """Unplug the adapter: the host's side hangs up.
 
-        With `drain` when the host has read what was sent; else at once, and what it has
-        not read is gone. The rest of a frame that was going out is lost.
+        The rest of a frame that is going out is lost, and counted.
+
+        Parameters
+        ----------
+        drain : bool, default True
+            Whether to unplug only when the host has read all bytes that were sent. Otherwise the
+            bytes that the host has not read are lost, and counted as unread.
+        timeout : float or None, seconds
+            How long to wait for the host; None for ever.
+
+        Returns
+        -------
+        bool
+            Whether the adapter is unplugged.
         """
 
         def unplug() -> None:
@@ -334,7 +467,7 @@ class Simulator(Uncopied):
         return self.wait_unplugged(timeout)
 
     def replug(self) -> None:
-        """Plug it in again, as a new terminal, and go on with the next frame."""
+        """Plug the adapter in again, as a new terminal, and go on with the next frame."""
 
         def replug() -> None:
             if self._terminal is None:
@@ -343,7 +476,7 @@ class Simulator(Uncopied):
         self._do(replug)
 
     def close(self) -> None:
-        """Unplug it for good. What the host has not read is gone, and counted."""
+        """Unplug the adapter for good. Bytes that the host has not read are lost, and counted."""
         thread, self._thread = self._thread, None
         if thread is None:
             return
@@ -358,7 +491,7 @@ class Simulator(Uncopied):
             raise self._error
 
     def _do(self, action: Callable[[], None]) -> None:
-        """Have the thread do something; nothing after the end."""
+        """Have the thread do something, and wait until it is done; do nothing after the end."""
         done: Future[None] = Future()
         with self._lock:
             if self._thread is None or self._closing:
@@ -371,7 +504,7 @@ class Simulator(Uncopied):
         with contextlib.suppress(BlockingIOError):
             os.write(self._wake_in, b"\0")
 
-    # From here on all is done by the thread.
+    # All methods from here on run in the thread.
 
     def _serve(self) -> None:
         try:
@@ -405,12 +538,12 @@ class Simulator(Uncopied):
                 done.set_result(None)
 
     def _pause(self, timeout_ns: int) -> None:
-        """Wait for the host, for a wish, or for the time since the step; less than 0: for ever."""
+        """Wait for the host, an action, or a time since the last step; less than 0: for ever."""
         waiting = select.poll()
         waiting.register(self._wake_out, select.POLLIN)
         if self._terminal is not None:
             wanted = select.POLLOUT if self._full else 0
-            if self._out.answering < _ANSWERS_MAX:
+            if self._out.answering < _ANSWERS_MOST:
                 wanted |= select.POLLIN
             self._terminal.register(waiting, wanted)
         rest_ns = 0
@@ -418,7 +551,7 @@ class Simulator(Uncopied):
             seen = dict(waiting.poll(None))
         else:
             left_ns = max(0, timeout_ns - (time.monotonic_ns() - self._stepped_ns))
-            # Polling takes whole milliseconds; what is due must not wait for the next one.
+            # Polling takes whole milliseconds. The rest is slept, or frames would be late.
             whole_ms, rest_ns = divmod(left_ns, _MS)
             seen = dict(waiting.poll(whole_ms))
         if rest_ns and not seen:
@@ -428,7 +561,7 @@ class Simulator(Uncopied):
         self._noticed = any(event != select.POLLOUT for event in seen.values())
 
     def _step(self) -> int:
-        """Do what there is to do; return for how many nanoseconds there is nothing more."""
+        """Do all work that is due; return the nanoseconds to the next work, -1 for no work."""
         terminal = self._terminal
         if terminal is None:
             return -1
@@ -437,7 +570,7 @@ class Simulator(Uncopied):
             self._elapsed_ns += now - self._stepped_ns
         self._stepped_ns = now
         self._sending = self._full = False
-        self._greet(terminal, now)
+        self._look_for_host(terminal, now)
         if self._noticed:
             self._receive(terminal)
         if self._unplug_at is not None and self._bytes_sent >= self._unplug_at:
@@ -453,8 +586,8 @@ class Simulator(Uncopied):
             return quiet
         return self._send(terminal) if terminal.open else _LOOK_NS
 
-    def _greet(self, terminal: Terminal, now: int) -> None:
-        """Give a host that has opened it just now the time to flush its input."""
+    def _look_for_host(self, terminal: Terminal, now: int) -> None:
+        """Give a host that has just opened the terminal the time to flush its input."""
         before = terminal.open
         if terminal.look(noticed=self._noticed):
             self._settled_ns = now + _SETTLE_NS
@@ -464,15 +597,15 @@ class Simulator(Uncopied):
 
     @staticmethod
     def _when_drained(terminal: Terminal, action: Callable[[], None]) -> int:
-        """Do something if the host has read all; return for how long there is nothing to do."""
+        """Do something if the host has read all bytes; return as `_step`."""
         if not terminal.drained():
             return _TICK_NS
         action()
         return -1
 
     def _receive(self, terminal: Terminal) -> None:
-        """Take what the host has sent."""
-        while self._out.answering < _ANSWERS_MAX:
+        """Take the bytes that the host has sent."""
+        while self._out.answering < _ANSWERS_MOST:
             data, flushed = terminal.read()
             if flushed:
                 self._flushed()
@@ -491,7 +624,7 @@ class Simulator(Uncopied):
         self._left = False
 
     def _take(self, data: memoryview) -> None:
-        """Decode what the host has sent, and do what it says, in its order."""
+        """Decode the bytes of the host, and handle frames and control packets in their order."""
         count = len(self._room)
         while count == len(self._room):
             used, count = self._decoder.feed_into(data, self._room, self._offsets)
@@ -499,13 +632,13 @@ class Simulator(Uncopied):
             start = 0
             for control in self._decoder.take_controls():
                 stop = int(np.searchsorted(self._offsets[:count], control.offset))
-                self._hear(self._room[start:stop])
-                self._obey(control.data)
+                self._take_frames(self._room[start:stop])
+                self._take_control(control.data)
                 start = stop
-            self._hear(self._room[start:count])
+            self._take_frames(self._room[start:count])
 
-    def _hear(self, frames: FrameArray) -> None:
-        """Take frames of the host's."""
+    def _take_frames(self, frames: FrameArray) -> None:
+        """Take frames from the host."""
         if len(frames) and self._swallow():
             frames = frames[1:]
         if not len(frames):
@@ -520,39 +653,39 @@ class Simulator(Uncopied):
             self._frames_echoed += len(frames)
             self._out.answer(encode(frames, self.protocol, ts_unit=self._ts_unit))
 
-    def _obey(self, packet: bytes) -> None:
-        """Do what a control packet says."""
+    def _take_control(self, packet: bytes) -> None:
+        """Do what a control packet from the host asks for."""
         if self._swallow():
             return
-        said = adapters.report(self.protocol, packet)
-        self._controls[said.kind] += 1
-        if said.kind == "configuration":
-            self._configuration = said
-            self._out.configure(said)
+        asked = adapters.report(self.protocol, packet)
+        self._controls[asked.kind] += 1
+        if asked.kind == "configuration":
+            self._configuration = asked
+            self._out.configure(asked)
             self._swallowing = self._swallows
-        elif said.kind == "ping" and not self.mute:
+        elif asked.kind == "ping" and not self.mute:
             self._out.answer(packet)
-        elif said.kind == "status" and not self.mute:
-            # A request reads as a status without errors, and there are none here.
+        elif asked.kind == "status" and not self.mute:
+            # The same bytes are a request, and a status without errors. Here are no errors.
             self._out.answer(find_protocol(self.protocol).status_request)
 
     def _swallow(self) -> bool:
-        """Return whether the next packet of the host is ignored, which is counted then."""
+        """Return whether to ignore the next packet from the host, and count it if so."""
         swallowed, self._swallowing = self._swallowing, False
         self._packets_swallowed += swallowed
         return swallowed
 
     def _paced(self) -> str:
-        """Return the pace; where none was asked for, that of the first frames' times."""
+        """Return the pace: the given one, or the one that the first frames' times decide."""
         return self._pace or ("line" if self._out.timed is False else "traffic")
 
     def _send(self, terminal: Terminal) -> int:
-        """Write what is due; return for how many nanoseconds nothing more is."""
+        """Write the bytes that are due; return the nanoseconds until more are."""
         self._sending = True
-        room = _BURST
+        room = _BURST_BYTES
         pace = self._paced()
         if pace == "line":
-            due = self._elapsed_ns * self._baudrate // (_BITS * 1_000_000_000)
+            due = self._elapsed_ns * self._baudrate // (_BYTE_BITS * 1_000_000_000)
             room = min(room, due - self._bytes_sent)
         stop = self._stop_at()
         if stop is not None:
@@ -560,7 +693,7 @@ class Simulator(Uncopied):
         while room > 0:
             piece = self._out.next(room, self._elapsed_ns)
             if not piece and self._out.starved:
-                self._sending = False  # the time stands still, so that no burst follows
+                self._sending = False  # this time does not count; otherwise a burst would follow
                 return _TICK_NS
             if not piece:
                 return self._out.wait_ns(self._elapsed_ns)
@@ -576,7 +709,7 @@ class Simulator(Uncopied):
         return _TICK_NS if pace == "line" and stop != self._bytes_sent else 0
 
     def _stop_at(self) -> int | None:
-        """Return after how many bytes it stalls or unplugs itself, if it does."""
+        """Return the number of bytes at the next stall or unplugging, None if there is none."""
         stops = [at for at, _ in itertools.islice(self._stalls, 1)]
         if self._unplug_at is not None:
             stops.append(self._unplug_at)
@@ -615,7 +748,7 @@ class Simulator(Uncopied):
 
 
 def _pace_asked(pace: str | None, baudrate: int | None) -> str | None:
-    """Return the pace that is asked for; None where the first frames decide."""
+    """Return the pace that is asked for; None if the first frames decide."""
     if pace is not None and pace not in PACES:
         raise ValueError(f"unknown pace {pace!r}; have: {', '.join(PACES)}")
     return "line" if pace is None and baudrate is not None else pace
