@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+import canser
 import vectors
 from long import LONG, takes_long
 
@@ -109,11 +110,12 @@ def test_blocks_of_recordings_sanitized(tmp_path: Path, debug_flags: list[str]) 
 def test_a_protocol_of_long_packets(tmp_path: Path, debug_flags: list[str]) -> None:
     sources: list[str | Path] = [f"-I{CORE}", HERE / "c" / "long.c", *SOURCES]
 
+    header = (CORE / "canser.h").read_text(encoding="utf-8")
+    others = re.findall(r"^ +(ROW\(\w+, \d+\))", header, re.MULTILINE)
+    assert len(others) == len(canser.protocols())
+
     def rows(longest: int) -> str:
-        return (
-            f"-DCANSER_PROTOCOLS(ROW)=ROW(cantalope, 10) ROW(long40, {longest}) "
-            "ROW(seeed, 20) ROW(serial, 19)"
-        )
+        return f"-DCANSER_PROTOCOLS(ROW)={' '.join(others)} ROW(long40, {longest})"
 
     assert_all_pass(run(build(tmp_path / "long", *debug_flags, rows(40), *sources)))
     # A row that says less than is so does not get as far.
@@ -133,12 +135,13 @@ def test_more_than_4_gib(tmp_path: Path) -> None:
 def test_fuzz_target(tmp_path: Path, debug_flags: list[str]) -> None:
     """Not a search, which is the fuzzer's work: the target builds, runs, and finds nothing."""
     chance = random.Random(1)
-    names = ["cantalope", "seeed", "serial"]
+    names = canser.protocols()
     inputs = []
     for index, vector in enumerate(vectors.load_all()):
         for copy in range(4):
             # The options choose the protocol by their remainder; then tick and capacities.
-            options = names.index(vector.protocol) + 3 * chance.randrange(84)
+            options = names.index(vector.protocol)
+            options += len(names) * chance.randrange((256 - options) // len(names))
             pieces = chance.randbytes(chance.randrange(16))
             head = bytes([options, *chance.choices((0, 1, 7, 255), k=3), len(pieces)]) + pieces
             stream = bytearray(vector.stream * 3)

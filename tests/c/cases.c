@@ -35,69 +35,69 @@ typedef struct {
 
 static const set sets[] = {
     /* Any order of headers, fill and commands. */
-    {PLAIN_CANTALOPE, 1, "FF/0/1/8/9/F/11:6"},
-    {PLAIN_CANTALOPE, 1, "FF/0/1/2/12:8"},
-    {PLAIN_CANTALOPE, 1, "FF/0/1/8:8"},
-    {PLAIN_CANTALOPE, 1, "FF/0/8:11"},
-    {PLAIN_CANTALOPE, 1, "FF/1:14"},
-    {PLAIN_CANTALOPE, 1, "FF/0:14"},
+    {PLAIN_cantalope, 1, "FF/0/1/8/9/F/11:6"},
+    {PLAIN_cantalope, 1, "FF/0/1/2/12:8"},
+    {PLAIN_cantalope, 1, "FF/0/1/8:8"},
+    {PLAIN_cantalope, 1, "FF/0/8:11"},
+    {PLAIN_cantalope, 1, "FF/1:14"},
+    {PLAIN_cantalope, 1, "FF/0:14"},
     /* All headers, all commands, all lengths. */
-    {PLAIN_CANTALOPE, 1, "* * 0/1/FF"},
-    {PLAIN_CANTALOPE, 1, "FF FF * * 1"},
-    {PLAIN_CANTALOPE, 1, "FF/1F * FF/0 FF/1 0/1/FF 0/FF/8 1 2 3 4 5 6 7/FF"},
-    {PLAIN_CANTALOPE, 1, "0/FF 8/18/F 1 2 3 4 5 6 7/FF 8/FF FF/0 FF/8 0/1/2 FF/9 FF 0 FF FF"},
+    {PLAIN_cantalope, 1, "* * 0/1/FF"},
+    {PLAIN_cantalope, 1, "FF FF * * 1"},
+    {PLAIN_cantalope, 1, "FF/1F * FF/0 FF/1 0/1/FF 0/FF/8 1 2 3 4 5 6 7/FF"},
+    {PLAIN_cantalope, 1, "0/FF 8/18/F 1 2 3 4 5 6 7/FF 8/FF FF/0 FF/8 0/1/2 FF/9 FF 0 FF FF"},
 
     /* Any order of markers, types and end marks. */
-    {PLAIN_SEEED, 1, "AA/55/C0/C1/D1/E1/F1/1:6"},
-    {PLAIN_SEEED, 1, "AA/55/C1/E1/1:8"},
-    {PLAIN_SEEED, 1, "AA/55/D2/1:9"},
-    {PLAIN_SEEED, 1, "AA/55/F1/1:9"},
-    {PLAIN_SEEED, 1, "AA/55/C0:11"},
+    {PLAIN_seeed, 1, "AA/55/C0/C1/D1/E1/F1/1:6"},
+    {PLAIN_seeed, 1, "AA/55/C1/E1/1:8"},
+    {PLAIN_seeed, 1, "AA/55/D2/1:9"},
+    {PLAIN_seeed, 1, "AA/55/F1/1:9"},
+    {PLAIN_seeed, 1, "AA/55/C0:11"},
     /* All types, and the bounds of both ids. */
-    {PLAIN_SEEED, 1, "AA * 55 * 55/0 55"},
-    {PLAIN_SEEED, 1, "AA E0/E1/E8/E9/F0/F2 0/FF 55 FF * 55/0/AA 55/C0 0/55 55"},
-    {PLAIN_SEEED, 1,
+    {PLAIN_seeed, 1, "AA * 55 * 55/0 55"},
+    {PLAIN_seeed, 1, "AA E0/E1/E8/E9/F0/F2 0/FF 55 FF * 55/0/AA 55/C0 0/55 55"},
+    {PLAIN_seeed, 1,
      "AA C8/D8/E8/F8 1 1/8 1/55 1F/20/55 55/AA 55/C0 1 1 55 55/AA 55 55/AA 55/0 0/55 55"},
     /* Frames inside a candidate that fails only at its end. */
-    {PLAIN_SEEED, 1, "AA C8/E8 1/AA 1/C0 AA/1 C1/C0/1 1 1/55 AA/55 55/1 AA/1 C0 AA/1 1/55 0/55 55"},
+    {PLAIN_seeed, 1, "AA C8/E8 1/AA 1/C0 AA/1 C1/C0/1 1 1/55 AA/55 55/1 AA/1 C0 AA/1 1/55 0/55 55"},
     /* Fixed packets: every field in and out of range. */
-    {PLAIN_SEEED, 1,
+    {PLAIN_seeed, 1,
      "AA 55 0/1/2/4 0/1/2/3 0/1/2/3 0/FF 0/7/8/FF 0/1 0/1F/20 0/8/9 11 22 33 44 55 66 77 88 0/1 "
      "sum+0/sum+1"},
-    {PLAIN_SEEED, 1, "AA 55 1 1/2 1/2 * 7/8 0 1F/20 8 1 2 3 4 5 6 7 8 0 sum+0"},
-    {PLAIN_SEEED, 1, "AA 55 1 2 1/2 FF FF/0 FF 1F/20/FF * 1 2 3 AA 55 6 7 8 0 sum+0"},
-    {PLAIN_SEEED, 1, "AA 55 * 1/2 1 1 0 0 0 8/9 1 2 3 AA 55/C0 6 0/55 55 0/1 sum+0/sum+FF"},
+    {PLAIN_seeed, 1, "AA 55 1 1/2 1/2 * 7/8 0 1F/20 8 1 2 3 4 5 6 7 8 0 sum+0"},
+    {PLAIN_seeed, 1, "AA 55 1 2 1/2 FF FF/0 FF 1F/20/FF * 1 2 3 AA 55 6 7 8 0 sum+0"},
+    {PLAIN_seeed, 1, "AA 55 * 1/2 1 1 0 0 0 8/9 1 2 3 AA 55/C0 6 0/55 55 0/1 sum+0/sum+FF"},
     /* Frames and fixed packets inside a fixed packet whose sum is wrong. */
-    {PLAIN_SEEED, 1, "AA 55 55/AA:13 0 1 55/AA AA/55/sum+0 AA/55/sum+0"},
-    {PLAIN_SEEED, 1,
+    {PLAIN_seeed, 1, "AA 55 55/AA:13 0 1 55/AA AA/55/sum+0 AA/55/sum+0"},
+    {PLAIN_seeed, 1,
      "AA 55 1/4 AA/1 C1/1 55/1 1 AA/0 55/0 AA/2 C0/55 1 1/AA 55 1 55 AA/1 E0/1 0/AA sum+0/sum+1 "
      "0/AA 0/C0 55 55"},
-    {PLAIN_SEEED, 1,
+    {PLAIN_seeed, 1,
      "AA 55 AA/1 55/2 1/4 1 1/0 0 0/AA 1/55 AA/9 C0/22 1 1 55 1 2 0 0 sum+0/sum+1 sum+0/sum+1 "
      "sum+0/sum+1 55/sum+0 AA C0"},
     /* Two of them, one behind the other. */
-    {PLAIN_SEEED, 2, "AA 55 1/4 1/3 1 23 1 0 0 2/9 AA/11 C0/22 0 0 55 0:3 0/1 sum+0/sum+1"},
+    {PLAIN_seeed, 2, "AA 55 1/4 1/3 1 23 1 0 0 2/9 AA/11 C0/22 0 0 55 0:3 0/1 sum+0/sum+1"},
 
     /* Any order of marks, lengths and flags behind a marker. */
-    {PLAIN_SERIAL, 1, "AA AA/BB/0/1:10"},
-    {PLAIN_SERIAL, 1, "AA AA/BB/0:11"},
-    {PLAIN_SERIAL, 1, "AA AA/BB/1:11"},
-    {PLAIN_SERIAL, 1, "AA AA/BB/1:8 40/C0/1/AA BB/AA/1 BB/AA/1"},
-    {PLAIN_SERIAL, 10, "AA/BB/0 0"},
-    {PLAIN_SERIAL, 8, "AA/0 AA/BB 0"},
-    {PLAIN_SERIAL, 2, "AA/BB AA 0:3 0/AA/1 0/AA AA 0 0 BB/AA BB/0"},
+    {PLAIN_serial, 1, "AA AA/BB/0/1:10"},
+    {PLAIN_serial, 1, "AA AA/BB/0:11"},
+    {PLAIN_serial, 1, "AA AA/BB/1:11"},
+    {PLAIN_serial, 1, "AA AA/BB/1:8 40/C0/1/AA BB/AA/1 BB/AA/1"},
+    {PLAIN_serial, 10, "AA/BB/0 0"},
+    {PLAIN_serial, 8, "AA/0 AA/BB 0"},
+    {PLAIN_serial, 2, "AA/BB AA 0:3 0/AA/1 0/AA AA 0 0 BB/AA BB/0"},
     /* All lengths and all flags, each with the end mark at its place and not. */
-    {PLAIN_SERIAL, 1, "AA 0 0 AA FF * 0/FF 7/8 0 0/20/40/60/80/A0/C0/E0/FF BB/0/AA BB"},
-    {PLAIN_SERIAL, 1, "AA 0:4 0/1 0/AA/FF 7/8 0 * BB/0/AA BB"},
-    {PLAIN_SERIAL, 1,
+    {PLAIN_serial, 1, "AA 0 0 AA FF * 0/FF 7/8 0 0/20/40/60/80/A0/C0/E0/FF BB/0/AA BB"},
+    {PLAIN_serial, 1, "AA 0:4 0/1 0/AA/FF 7/8 0 * BB/0/AA BB"},
+    {PLAIN_serial, 1,
      "AA 1 2 3 4 0/1/2/7/8/9 1 0 0 0/1F/20/40/60/80/C0/E0 BB/AA BB/0 BB/1 0:4 BB/0:3"},
     /* Frames inside a candidate that fails only at its end. */
-    {PLAIN_SERIAL, 1,
+    {PLAIN_serial, 1,
      "AA AA/1 2 3/AA 4 8/1/AA AA/0 0/8 AA/0 40/0/AA AA/BB/0 BB/0 BB/0 AA/0 0/BB BB 0 BB BB/0 BB 0 "
      "BB"},
     /* The clock: small and large steps, forward, back, and through zero. */
-    {PLAIN_SERIAL, 3, "AA 0/1/FF 0 0 0/7F/80/FF 0 23 1 0 0 BB"},
-    {PLAIN_SERIAL, 4, "AA 0/FF FF FF 0/7F/80 0 23 1 0 0 BB/0"},
+    {PLAIN_serial, 3, "AA 0/1/FF 0 0 0/7F/80/FF 0 23 1 0 0 BB"},
+    {PLAIN_serial, 4, "AA 0/FF FF FF 0/7F/80 0 23 1 0 0 BB/0"},
 };
 
 typedef struct {
@@ -151,7 +151,7 @@ static bool report(const char *what, int protocol, const char *how, size_t at, c
     if (!what)
         return true;
     if (failures_shown++ < FAILURES_SHOWN) {
-        printf("FAILED %s, %s %zu: %s:", plain_name(protocol), how, at, what);
+        printf("FAILED %s, %s %zu: %s:", plain_format_of(protocol)->name, how, at, what);
         for (size_t i = 0; i < len; i++)
             printf(" %02X", bytes[i]);
         printf("\n");
@@ -341,10 +341,10 @@ static bool check_steps(uint32_t raw, const uint32_t *steps, size_t step_count)
         len += CLOCK_LEN;
         raw += i < step_count ? steps[i] : 0;
     }
-    scan_both(PLAIN_SERIAL, stream, len);
-    bool good = check_pieces(PLAIN_SERIAL, stream, len, len, 1, SIZE_MAX, "clock", step_count);
-    good &= check_pieces(PLAIN_SERIAL, stream, len, 13, 13, SIZE_MAX, "clock, pieces of", 13);
-    good &= check_pieces(PLAIN_SERIAL, stream, len, len, 1, 1, "clock, capacity", 1);
+    scan_both(PLAIN_serial, stream, len);
+    bool good = check_pieces(PLAIN_serial, stream, len, len, 1, SIZE_MAX, "clock", step_count);
+    good &= check_pieces(PLAIN_serial, stream, len, 13, 13, SIZE_MAX, "clock, pieces of", 13);
+    good &= check_pieces(PLAIN_serial, stream, len, len, 1, 1, "clock, capacity", 1);
     return good;
 }
 
@@ -430,9 +430,14 @@ int main(int argc, char **argv)
             if (sets[i].protocol == protocol)
                 run_set(&sets[i], limit, &string_count, &bad);
         }
-        if (protocol == PLAIN_SERIAL)
+        if (protocol == PLAIN_serial)
             run_clock(limit, &string_count, &bad);
-        printf("%s: %llu strings\n", plain_name(protocol), (unsigned long long)string_count);
+        printf("%s: %llu strings\n", plain_format_of(protocol)->name,
+               (unsigned long long)string_count);
+        if (!string_count) {
+            printf("FAILED there is no set of strings for %s\n", plain_format_of(protocol)->name);
+            failed++;
+        }
         passed += string_count - bad;
         failed += bad;
     }

@@ -116,7 +116,7 @@ static void check_way_back(const plain_stream *stream, int protocol, int64_t tic
 
     if (count)
         memcpy(frames, stream->frames, count * sizeof *frames);
-    if (protocol == PLAIN_SERIAL && !times_are_exact(stream, tick_ns)) {
+    if (protocol == PLAIN_serial && !times_are_exact(stream, tick_ns)) {
         for (size_t i = 0; i < count; i++)
             frames[i].ts = 0;
     }

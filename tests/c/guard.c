@@ -41,8 +41,8 @@ static struct {
 static void print_now(FILE *to)
 {
     fprintf(to, "%s, %s, kind %d, len %zu, shift %zu, frame_cap %zu, control_cap %zu, at the %s\n",
-            now.part, plain_name(now.protocol), now.kind, now.len, now.shift, now.frame_cap,
-            now.control_cap, now.at_end ? "end" : "start");
+            now.part, plain_format_of(now.protocol)->name, now.kind, now.len, now.shift,
+            now.frame_cap, now.control_cap, now.at_end ? "end" : "start");
 }
 
 static void check(bool holds, const char *what)
@@ -124,10 +124,7 @@ static arena arena_new(size_t size)
  * a reader who goes too far would like to find. */
 static uint8_t filler(drive_slot slot)
 {
-    static const uint8_t end_marks[PLAIN_PROTOCOL_COUNT] = {
-        [PLAIN_CANTALOPE] = 0x00, [PLAIN_SEEED] = 0x55, [PLAIN_SERIAL] = 0xBB};
-
-    return slot == DRIVE_INPUT ? end_marks[now.protocol] : 0x5A;
+    return slot == DRIVE_INPUT ? plain_format_of(now.protocol)->end : 0x5A;
 }
 
 /* Put `size` bytes against the guard behind or before the arena, `shift` away. */
@@ -170,12 +167,12 @@ static canser_frame random_frame(int protocol)
     canser_frame f;
 
     memset(&f, 0, sizeof f);
-    f.ext = protocol != PLAIN_CANTALOPE && random_below(2);
+    f.ext = plain_format_of(protocol)->has_ext && random_below(2);
     f.id = (uint32_t)random_word() & (f.ext ? 0x1FFFFFFF : 0x7FF);
     if (random_below(8) == 0)
         f.id = f.ext ? 0x1FFFFFFF : 0x7FF;
     f.rtr = random_below(4) == 0;
-    f.err = protocol == PLAIN_SERIAL && random_below(8) == 0;
+    f.err = plain_format_of(protocol)->has_err && random_below(8) == 0;
     f.dlc = (uint8_t)random_below(9);
     /* All eight, whatever the dlc: what lies behind it must not go out. */
     for (int i = 0; i < 8; i++)
@@ -198,13 +195,13 @@ static size_t random_packet(int protocol, uint8_t out[CANSER_PACKET_MAX])
     const canser_frame f = random_frame(protocol);
     int refusal;
 
-    if (protocol == PLAIN_CANTALOPE && random_below(6) == 0) {
+    if (protocol == PLAIN_cantalope && random_below(6) == 0) {
         out[0] = out[1] = 0xFF;
         out[2] = (uint8_t)random_below(2);
         out[3] = (uint8_t)random_word();
         return out[2] ? 4 : 3;
     }
-    if (protocol == PLAIN_SEEED && random_below(4) == 0) {
+    if (protocol == PLAIN_seeed && random_below(4) == 0) {
         unsigned sum = 0;
         out[0] = 0xAA;
         out[1] = 0x55;
@@ -226,13 +223,13 @@ static size_t random_packet(int protocol, uint8_t out[CANSER_PACKET_MAX])
     size_t len = plain_encode(protocol, 1000, &f, out, &refusal);
     if (f.rtr && random_below(2)) {
         /* The other form of a remote frame: with filler, or without. */
-        len -= protocol != PLAIN_CANTALOPE;
-        if (protocol == PLAIN_SERIAL) {
+        if (protocol == PLAIN_serial) {
+            len--;
             for (int i = 0; i < f.dlc; i++)
                 out[len++] = (uint8_t)random_word();
             out[len++] = 0xBB;
-        } else if (protocol == PLAIN_SEEED) {
-            len -= f.dlc;
+        } else if (protocol == PLAIN_seeed) {
+            len -= 1 + (size_t)f.dlc;
             out[len++] = 0x55;
         }
     }
@@ -241,10 +238,7 @@ static size_t random_packet(int protocol, uint8_t out[CANSER_PACKET_MAX])
 
 static void make_stream(int protocol, int kind, uint8_t *stream, size_t len)
 {
-    static const char *const alphabets[PLAIN_PROTOCOL_COUNT] = {
-        [PLAIN_CANTALOPE] = "\xFF\xFF\xFF\x01\x00\x08\x09\x12",
-        [PLAIN_SEEED] = "\xAA\xAA\xAA\x55\x55\xC0\xE1\x01",
-        [PLAIN_SERIAL] = "\xAA\xAA\xAA\xBB\xBB\x00\x01\x40"};
+    const char *const alphabet = plain_format_of(protocol)->alphabet;
     size_t pos = 0;
 
     while (pos < len) {
@@ -252,9 +246,9 @@ static void make_stream(int protocol, int kind, uint8_t *stream, size_t len)
         size_t packet_len = 1;
 
         if (kind == KIND_HOSTILE) {
-            packet[0] = (uint8_t)alphabets[protocol][random_below(8)];
+            packet[0] = (uint8_t)alphabet[random_below(8)];
         } else if (kind == KIND_MARKERS) {
-            packet[0] = (uint8_t)alphabets[protocol][0];
+            packet[0] = (uint8_t)alphabet[0];
         } else {
             packet_len = random_packet(protocol, packet);
         }
@@ -265,7 +259,7 @@ static void make_stream(int protocol, int kind, uint8_t *stream, size_t len)
         for (size_t i = 0; i < packet_len && pos < len; i++)
             stream[pos++] = packet[i];
         if (kind == KIND_NOISY && random_below(4) == 0 && pos < len)
-            stream[pos++] = (uint8_t)alphabets[protocol][random_below(8)];
+            stream[pos++] = (uint8_t)alphabet[random_below(8)];
     }
 }
 
@@ -388,8 +382,6 @@ static void test_decode(void)
  * for every value a header byte may have, whatever length it claims. */
 static void test_ends(void)
 {
-    static const uint8_t marks[PLAIN_PROTOCOL_COUNT] = {
-        [PLAIN_CANTALOPE] = 0xFF, [PLAIN_SEEED] = 0xAA, [PLAIN_SERIAL] = 0xAA};
     uint8_t stream[2 * CANSER_PACKET_MAX];
 
     now.part = "ends";
@@ -399,7 +391,7 @@ static void test_ends(void)
         for (unsigned value = 0; value < 256; value++) {
             for (size_t len = 1; len <= sizeof stream; len++) {
                 memset(stream, (int)value, len);
-                stream[0] = marks[now.protocol];
+                stream[0] = (uint8_t)plain_format_of(now.protocol)->alphabet[0];
                 plain_begin(&open_stream, now.protocol, 1000);
                 plain_scan(&open_stream, stream, len, false);
                 plain_begin(&ended_stream, now.protocol, 1000);
@@ -613,7 +605,7 @@ static void test_chunks(void)
             }
         }
         check(joined_count > 1000, "few chunks were joined");
-        check(apart_count > 100 || now.protocol == PLAIN_SERIAL, "no guess was wrong");
+        check(apart_count > 100 || now.protocol == PLAIN_serial, "no guess was wrong");
     }
 }
 
@@ -665,7 +657,7 @@ static void test_chunk_clocks(void)
     int64_t steps[TIMED_MAX];
 
     now.part = "chunk clocks";
-    now.protocol = PLAIN_SERIAL;
+    now.protocol = PLAIN_serial;
     now.at_end = true;
     for (size_t before = 0; before <= 19; before++) {
         for (size_t behind = 0; behind <= 19; behind++) {
@@ -791,16 +783,16 @@ static bool spoil(int protocol, int refusal, canser_frame *f)
     case CANSER_REFUSAL_ID_EXT:
         f->ext = 1;
         f->id = 0x20000000 + (uint32_t)random_below(0xE0000000);
-        return protocol != PLAIN_CANTALOPE;
+        return plain_format_of(protocol)->has_ext;
     case CANSER_REFUSAL_EXT:
         f->ext = 1;
-        return protocol == PLAIN_CANTALOPE;
+        return !plain_format_of(protocol)->has_ext;
     case CANSER_REFUSAL_ERR:
         f->err = 1;
-        return protocol != PLAIN_SERIAL;
+        return !plain_format_of(protocol)->has_err;
     default:
         f->ts = CANSER_NO_TIME;
-        return protocol == PLAIN_SERIAL;
+        return plain_format_of(protocol)->has_clock;
     }
 }
 
@@ -911,8 +903,6 @@ static void set_bench(bench *b)
 {
     memset(b, UINT8_MAX, sizeof *b);
     make_stream(now.protocol, KIND_CLEAN, b->data, sizeof b->data);
-    /* A start that needs more bytes, whatever the random frames were. */
-    b->data[0] = now.protocol == PLAIN_CANTALOPE ? 0xFF : 0xAA;
     canser_decoder_init(&b->decoder, canser_protocol_at((size_t)now.protocol), 1000);
     b->batch = (canser_batch){.frames = b->memory.frames,
                               .frame_cap = 4,
@@ -1086,8 +1076,8 @@ static void test_full_controls(void)
     size_t used = 0;
 
     now.part = "control_cap 0";
-    now.protocol = PLAIN_CANTALOPE;
-    canser_decoder_init(&decoder, canser_protocol_at(PLAIN_CANTALOPE), 1);
+    now.protocol = PLAIN_cantalope;
+    canser_decoder_init(&decoder, canser_protocol_at(PLAIN_cantalope), 1);
     check(canser_decoder_feed(&decoder, pings, sizeof pings, &batch, &used) == CANSER_OK, "status");
     check(used == 0 && batch.control_count == 0 && batch.frame_count == 0, "something was taken");
     for (size_t i = 0; i < 2; i++) {
@@ -1102,7 +1092,7 @@ static void test_full_controls(void)
 
     now.part = "controls NULL";
     batch.controls = NULL;
-    canser_decoder_init(&decoder, canser_protocol_at(PLAIN_CANTALOPE), 1);
+    canser_decoder_init(&decoder, canser_protocol_at(PLAIN_cantalope), 1);
     check(canser_decoder_feed(&decoder, pings, sizeof pings, &batch, &used) == CANSER_OK, "status");
     check(used == sizeof pings && batch.control_count == 0 && batch.frame_count == 1,
           "the scan waits where control packets are not asked for");
@@ -1241,7 +1231,7 @@ static void check_explained(const uint8_t *bytes, size_t len)
     check(is_control || is_zero(&report, sizeof report), "the report is not set");
 
     int kind = CANSER_CONTROL_OTHER;
-    if (is_control && now.protocol == PLAIN_CANTALOPE)
+    if (is_control && now.protocol == PLAIN_cantalope)
         kind = bytes[2] == 0x00 ? CANSER_CONTROL_PING : CANSER_CONTROL_ERROR;
     else if (is_control && bytes[2] == 0x04)
         kind = CANSER_CONTROL_STATUS;
@@ -1300,7 +1290,7 @@ static canser_config random_config(void)
 
 static int plain_configure_status(const canser_config *config)
 {
-    if (now.protocol != PLAIN_SEEED)
+    if (!plain_format_of(now.protocol)->has_bitrates)
         return CANSER_UNABLE;
     return config->bitrate < 5000 || config->bitrate == 5001 || config->filter_id > 0x1FFFFFFF ||
                    config->filter_mask > 0x1FFFFFFF || config->mode > 3
@@ -1409,10 +1399,11 @@ static void test_tables(void)
     now.part = "tables";
     for (now.protocol = 0; now.protocol < PLAIN_PROTOCOL_COUNT; now.protocol++) {
         const canser_protocol *const p = canser_protocol_at((size_t)now.protocol);
+        const plain_format *const format = plain_format_of(now.protocol);
         size_t len_min = SIZE_MAX, len_max = 0;
 
-        check(p && strcmp(p->name, plain_name(now.protocol)) == 0, "another name");
-        check(p && p->has_clock == (now.protocol == PLAIN_SERIAL), "has_clock");
+        check(p && strcmp(p->name, format->name) == 0, "another name");
+        check(p && p->has_clock == format->has_clock, "has_clock");
         for (int i = 0; i < 10000; i++) {
             const canser_frame f = random_frame(now.protocol);
             uint8_t packet[CANSER_PACKET_MAX];
@@ -1423,11 +1414,11 @@ static void test_tables(void)
         }
         check(p && p->frame_min == len_min, "frame_min");
         check(p && p->frame_max == len_max, "frame_max");
-        check(p && p->baudrate == (now.protocol == PLAIN_SEEED ? 2000000 : 115200), "baudrate");
-        check(p && (p->bitrates != NULL) == (now.protocol == PLAIN_SEEED), "bitrates");
+        check(p && p->baudrate == format->baudrate, "baudrate");
+        check(p && (p->bitrates != NULL) == format->has_bitrates, "bitrates");
         if (p) {
-            check_row_packet(&p->ping, PLAIN_CANTALOPE, CANSER_CONTROL_PING);
-            check_row_packet(&p->status_request, PLAIN_SEEED, CANSER_CONTROL_STATUS);
+            check_row_packet(&p->ping, PLAIN_cantalope, CANSER_CONTROL_PING);
+            check_row_packet(&p->status_request, PLAIN_seeed, CANSER_CONTROL_STATUS);
         }
     }
     check(!canser_protocol_at(PLAIN_PROTOCOL_COUNT) && !canser_protocol_at(SIZE_MAX),
@@ -2059,14 +2050,14 @@ static void test_huge(void)
         exit(2);
     }
     now.part = "huge";
-    now.protocol = PLAIN_SERIAL;
-    const size_t len = plain_encode(PLAIN_SERIAL, 1000, &sent, packet, &refusal);
+    now.protocol = PLAIN_serial;
+    const size_t len = plain_encode(PLAIN_serial, 1000, &sent, packet, &refusal);
     for (size_t i = 0; i < PLACES; i++)
         memcpy(region + places[i], packet, len);
     /* The last bytes are the first ones of one more frame. */
     memcpy(region + size - 7, packet, 7);
 
-    canser_decoder_init(&decoder, canser_protocol_at(PLAIN_SERIAL), 1000);
+    canser_decoder_init(&decoder, canser_protocol_at(PLAIN_serial), 1000);
     check(canser_decoder_feed(&decoder, region, (size_t)size, &batch, &used) == CANSER_OK,
           "status");
     check(used == size, "not all is taken");

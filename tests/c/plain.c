@@ -54,7 +54,7 @@ static uint32_t little_endian(const uint8_t *p, int byte_count)
 
 /* AA | timestamp, 4 | dlc | id, 4 | payload, dlc | BB
  *
- * The three looks take the `n` bytes at hand from a position on, at least one,
+ * All looks take the `n` bytes at hand from a position on, at least one,
  * and check them in the order in which they arrive. */
 static finding look_serial(const uint8_t *p, size_t n, canser_frame *row)
 {
@@ -178,18 +178,6 @@ static finding look_cantalope(const uint8_t *p, size_t n, canser_frame *row)
     return frame(2 + (size_t)dlc, row, id, false, rtr, dlc, p + 2);
 }
 
-static finding look(int protocol, const uint8_t *p, size_t n, canser_frame *row)
-{
-    switch (protocol) {
-    case PLAIN_SERIAL:
-        return look_serial(p, n, row);
-    case PLAIN_SEEED:
-        return look_seeed(p, n, row);
-    default:
-        return look_cantalope(p, n, row);
-    }
-}
-
 /* The time of the next frame, its counter being `raw`, in nanoseconds. Each step
  * is taken as a signed number of 32 bits; but if one of the next four frames
  * behind a clock that ran in line is near where it stood, then from there. */
@@ -245,16 +233,111 @@ static int64_t next_time(plain_stream *self, uint32_t raw)
     return time;
 }
 
-const char *plain_name(int protocol)
+static size_t put_little_endian(uint8_t *out, uint32_t value, size_t byte_count)
 {
-    switch (protocol) {
-    case PLAIN_SERIAL:
-        return "serial";
-    case PLAIN_SEEED:
-        return "seeed";
-    default:
-        return "cantalope";
+    for (size_t i = 0; i < byte_count; i++) {
+        out[i] = (uint8_t)(value % 256);
+        value /= 256;
     }
+    return byte_count;
+}
+
+/* The data of a frame, `len` bytes of it; zeros for a remote frame, which has none. */
+static size_t put_data(uint8_t *out, const canser_frame *f, size_t len)
+{
+    for (size_t i = 0; i < len; i++)
+        out[i] = f->rtr || i >= f->dlc ? 0 : f->data[i];
+    return len;
+}
+
+static size_t encode_serial(const canser_frame *f, int64_t tick_ns, uint8_t *out)
+{
+    size_t len = 0;
+    int64_t tick = f->ts / tick_ns;
+    uint32_t word = f->id;
+
+    if (f->ts % tick_ns < 0)
+        tick--; /* C rounds to zero; a time goes out rounded down */
+    if (f->ext)
+        word |= 0x80000000;
+    if (f->rtr)
+        word |= 0x40000000;
+    if (f->err)
+        word |= 0x20000000;
+    out[len++] = 0xAA;
+    len += put_little_endian(out + len, (uint32_t)(uint64_t)tick, 4);
+    out[len++] = f->dlc;
+    len += put_little_endian(out + len, word, 4);
+    if (!f->rtr)
+        len += put_data(out + len, f, f->dlc);
+    out[len++] = 0xBB;
+    return len;
+}
+
+static size_t encode_seeed(const canser_frame *f, int64_t tick_ns, uint8_t *out)
+{
+    size_t len = 0;
+
+    (void)tick_ns;
+    out[len++] = 0xAA;
+    out[len++] = (uint8_t)(0xC0 + (f->ext ? 0x20 : 0) + (f->rtr ? 0x10 : 0) + f->dlc);
+    len += put_little_endian(out + len, f->id, f->ext ? 4 : 2);
+    len += put_data(out + len, f, f->dlc);
+    out[len++] = 0x55;
+    return len;
+}
+
+static size_t encode_cantalope(const canser_frame *f, int64_t tick_ns, uint8_t *out)
+{
+    (void)tick_ns;
+    out[0] = (uint8_t)(f->id / 8);
+    out[1] = (uint8_t)(f->id % 8 * 32 + (f->rtr ? 0x10 : 0) + f->dlc);
+    return 2 + put_data(out + 2, f, f->dlc);
+}
+
+/* The protocols: one row for each of the list in canser.h. */
+typedef struct {
+    plain_format format;
+    finding (*look)(const uint8_t *p, size_t n, canser_frame *row);
+    size_t (*encode)(const canser_frame *f, int64_t tick_ns, uint8_t *out);
+} row_of_protocol;
+
+static const row_of_protocol row_cantalope = {
+    {.name = "cantalope", .baudrate = 115200, .alphabet = "\xFF\xFF\xFF\x01\x00\x08\x09\x12"},
+    look_cantalope,
+    encode_cantalope,
+};
+
+static const row_of_protocol row_seeed = {
+    {.name = "seeed",
+     .has_ext = true,
+     .has_bitrates = true,
+     .baudrate = 2000000,
+     .alphabet = "\xAA\xAA\xAA\x55\x55\xC0\xE1\x01",
+     .end = 0x55},
+    look_seeed,
+    encode_seeed,
+};
+
+static const row_of_protocol row_serial = {
+    {.name = "serial",
+     .has_clock = true,
+     .has_ext = true,
+     .has_err = true,
+     .baudrate = 115200,
+     .alphabet = "\xAA\xAA\xAA\xBB\xBB\x00\x01\x40",
+     .end = 0xBB},
+    look_serial,
+    encode_serial,
+};
+
+#define ROW(name, packet_max) &row_##name,
+static const row_of_protocol *const rows[] = {CANSER_PROTOCOLS(ROW)};
+#undef ROW
+
+const plain_format *plain_format_of(int protocol)
+{
+    return &rows[protocol]->format;
 }
 
 void plain_begin(plain_stream *self, int protocol, int64_t tick_ns)
@@ -279,7 +362,7 @@ void plain_scan(plain_stream *self, const uint8_t *bytes, size_t len, bool end)
     while (pos < len) {
         const uint8_t *p = bytes + pos;
         canser_frame row;
-        finding f = look(self->protocol, p, len - pos, &row);
+        finding f = rows[self->protocol]->look(p, len - pos, &row);
 
         if (f.found == FOUND_MORE && !end)
             break;
@@ -308,7 +391,7 @@ void plain_scan(plain_stream *self, const uint8_t *bytes, size_t len, bool end)
         } else {
             if (self->frame_count == self->row_cap)
                 abort();
-            if (self->protocol == PLAIN_SERIAL)
+            if (rows[self->protocol]->format.has_clock)
                 row.ts = next_time(self, little_endian(p + 1, 4));
             self->offsets[self->frame_count] = (int64_t)(base + pos);
             self->ends[self->frame_count] = (int64_t)(base + pos + f.len);
@@ -323,7 +406,7 @@ void plain_scan(plain_stream *self, const uint8_t *bytes, size_t len, bool end)
 }
 
 /* Why no frame of this kind goes out, or CANSER_REFUSAL_NONE. */
-static int refuse(int protocol, const canser_frame *f)
+static int refuse(const plain_format *format, const canser_frame *f)
 {
     if (f->dlc > 8)
         return CANSER_REFUSAL_DLC;
@@ -331,68 +414,18 @@ static int refuse(int protocol, const canser_frame *f)
         return CANSER_REFUSAL_ID_EXT;
     if (!f->ext && f->id > 0x7FF)
         return CANSER_REFUSAL_ID;
-    if (f->ext && protocol == PLAIN_CANTALOPE)
+    if (f->ext && !format->has_ext)
         return CANSER_REFUSAL_EXT;
-    if (f->err && protocol != PLAIN_SERIAL)
+    if (f->err && !format->has_err)
         return CANSER_REFUSAL_ERR;
-    if (f->ts == CANSER_NO_TIME && protocol == PLAIN_SERIAL)
+    if (f->ts == CANSER_NO_TIME && format->has_clock)
         return CANSER_REFUSAL_TIME;
     return CANSER_REFUSAL_NONE;
-}
-
-static size_t put_little_endian(uint8_t *out, uint32_t value, size_t byte_count)
-{
-    for (size_t i = 0; i < byte_count; i++) {
-        out[i] = (uint8_t)(value % 256);
-        value /= 256;
-    }
-    return byte_count;
 }
 
 size_t plain_encode(int protocol, int64_t tick_ns, const canser_frame *f,
                     uint8_t out[CANSER_PACKET_MAX], int *refusal)
 {
-    size_t len = 0;
-
-    *refusal = refuse(protocol, f);
-    if (*refusal != CANSER_REFUSAL_NONE)
-        return 0;
-    if (protocol == PLAIN_SERIAL) {
-        int64_t tick = f->ts / tick_ns;
-        if (f->ts % tick_ns < 0)
-            tick--; /* C rounds to zero; a time goes out rounded down */
-        uint32_t word = f->id;
-        if (f->ext)
-            word |= 0x80000000;
-        if (f->rtr)
-            word |= 0x40000000;
-        if (f->err)
-            word |= 0x20000000;
-        out[len++] = 0xAA;
-        len += put_little_endian(out + len, (uint32_t)(uint64_t)tick, 4);
-        out[len++] = f->dlc;
-        len += put_little_endian(out + len, word, 4);
-    } else if (protocol == PLAIN_SEEED) {
-        out[len++] = 0xAA;
-        out[len++] = (uint8_t)(0xC0 + (f->ext ? 0x20 : 0) + (f->rtr ? 0x10 : 0) + f->dlc);
-        len += put_little_endian(out + len, f->id, f->ext ? 4 : 2);
-    } else {
-        out[len++] = (uint8_t)(f->id / 8);
-        out[len++] = (uint8_t)(f->id % 8 * 32 + (f->rtr ? 0x10 : 0) + f->dlc);
-    }
-
-    /* A remote frame has no payload of its own. On the wire `serial` sends
-     * nothing in its place, the other two send zeros. */
-    for (int i = 0; i < f->dlc; i++) {
-        if (!f->rtr) {
-            out[len++] = f->data[i];
-        } else if (protocol != PLAIN_SERIAL) {
-            out[len++] = 0;
-        }
-    }
-    if (protocol == PLAIN_SERIAL)
-        out[len++] = 0xBB;
-    if (protocol == PLAIN_SEEED)
-        out[len++] = 0x55;
-    return len;
+    *refusal = refuse(plain_format_of(protocol), f);
+    return *refusal == CANSER_REFUSAL_NONE ? rows[protocol]->encode(f, tick_ns, out) : 0;
 }

@@ -14,8 +14,24 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* In the order of canser_protocol_at, which is that of the names. */
-enum { PLAIN_CANTALOPE, PLAIN_SEEED, PLAIN_SERIAL, PLAIN_PROTOCOL_COUNT };
+/* In the order of canser_protocol_at: PLAIN_serial and so on. */
+#define PLAIN_NUMBER(name, packet_max) PLAIN_##name,
+enum { CANSER_PROTOCOLS(PLAIN_NUMBER) PLAIN_PROTOCOL_COUNT };
+#undef PLAIN_NUMBER
+
+/* What the tests know of a protocol. */
+typedef struct {
+    const char *name;
+    bool has_clock;
+    bool has_ext; /* extended frames */
+    bool has_err; /* error frames */
+    bool has_bitrates;
+    uint32_t baudrate;
+    const char *alphabet; /* 8 bytes that mean something; a candidate may start with the first */
+    uint8_t end;          /* the last byte of a frame, where it has an end mark */
+} plain_format;
+
+const plain_format *plain_format_of(int protocol);
 
 /* A stream and all that is found in it. The caller owns the arrays, each with
  * `row_cap` rows; a stream of n bytes never needs more than n / 2 + 1. The
@@ -45,9 +61,6 @@ typedef struct {
     uint32_t raw;       /* the counter of the last frame as it came */
     uint64_t ticks;     /* its time, unwrapped */
 } plain_stream;
-
-/* The name of a protocol. */
-const char *plain_name(int protocol);
 
 /* Start a stream of which nothing has been seen. The arrays stay as the caller
  * has set them. */
