@@ -9,10 +9,12 @@
 #define _DEFAULT_SOURCE /* MAP_ANONYMOUS, where -std=c11 hides it */
 #define _DARWIN_C_SOURCE
 
-#include "drive.h"
+#include "arena.h"
+#include "chance.h"
+#include "checks.h"
+#include "traffic.h"
 
 #include <math.h>
-#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -22,246 +24,9 @@
 enum {
     LEN_MAX = 160, /* the longest stream: some windows, and a page holds its rows */
     ROW_CAP = LEN_MAX / 2 + 2,
-    SHIFT_MAX = 8,   /* all alignments of a word */
-    FRAMES_MAX = 12, /* of an encoding */
-    FAILURES_SHOWN = 10
+    SHIFT_MAX = 8,  /* all alignments of a word */
+    FRAMES_MAX = 12 /* of an encoding */
 };
-
-static unsigned long long passed, failed;
-
-/* Where the test is: what a failure and a fault print. */
-static struct {
-    const char *part;
-    int protocol;
-    int kind;
-    size_t len, shift, frame_cap, control_cap;
-    bool at_end;
-} now;
-
-static void print_now(FILE *to)
-{
-    fprintf(to, "%s, %s, kind %d, len %zu, shift %zu, frame_cap %zu, control_cap %zu, at the %s\n",
-            now.part, plain_format_of(now.protocol)->name, now.kind, now.len, now.shift,
-            now.frame_cap, now.control_cap, now.at_end ? "end" : "start");
-}
-
-static void check(bool holds, const char *what)
-{
-    if (holds) {
-        passed++;
-    } else if (failed++ < FAILURES_SHOWN) {
-        printf("FAILED %s: ", what);
-        print_now(stdout);
-    }
-}
-
-static struct sigaction before_fault[2];
-
-/* A guard page was touched: say where the test is, then let the fault happen
- * again for whoever handled it before, the system or a sanitizer. */
-static void on_fault(int number)
-{
-    fprintf(stderr, "FAILED touched memory that is not its own: ");
-    print_now(stderr);
-    sigaction(SIGSEGV, &before_fault[0], NULL);
-    sigaction(SIGBUS, &before_fault[1], NULL);
-    (void)number;
-}
-
-static void catch_faults(void)
-{
-    struct sigaction action;
-
-    memset(&action, 0, sizeof action);
-    action.sa_handler = on_fault;
-    sigemptyset(&action.sa_mask);
-    sigaction(SIGSEGV, &action, &before_fault[0]);
-    sigaction(SIGBUS, &action, &before_fault[1]);
-}
-
-/* Random numbers, the same in every run: xorshift64*. */
-static uint64_t random_state = 0x9E3779B97F4A7C15;
-
-static uint64_t random_word(void)
-{
-    random_state ^= random_state >> 12;
-    random_state ^= random_state << 25;
-    random_state ^= random_state >> 27;
-    return random_state * 0x2545F4914F6CDD1D >> 8;
-}
-
-static size_t random_below(size_t bound)
-{
-    return (size_t)(random_word() % bound);
-}
-
-/* Some pages between two that may not be touched. */
-typedef struct {
-    uint8_t *begin;
-    size_t size;
-} arena;
-
-static size_t page_size(void)
-{
-    return (size_t)sysconf(_SC_PAGESIZE);
-}
-
-static arena arena_new(size_t size)
-{
-    const size_t page = page_size();
-    arena a = {.size = (size + page - 1) / page * page};
-    uint8_t *p = mmap(NULL, a.size + 2 * page, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
-
-    if (p == MAP_FAILED || mprotect(p + page, a.size, PROT_READ | PROT_WRITE)) {
-        perror("guard: mmap");
-        exit(2);
-    }
-    a.begin = p + page;
-    return a;
-}
-
-/* The bytes around an array in its arena. For an input it is the end mark that
- * a reader who goes too far would like to find. */
-static uint8_t filler(drive_slot slot)
-{
-    return slot == DRIVE_INPUT ? plain_format_of(now.protocol)->end : 0x5A;
-}
-
-/* Put `size` bytes against the guard behind or before the arena, `shift` away. */
-static uint8_t *put(const arena *a, size_t size, size_t shift, uint8_t fill)
-{
-    memset(a->begin, fill, a->size);
-    return now.at_end ? a->begin + a->size - size - shift : a->begin + shift;
-}
-
-static bool is_filled(const uint8_t *p, const uint8_t *end, uint8_t fill)
-{
-    /* All are as the first one if each is as the next one. */
-    return p == end || (*p == fill && memcmp(p, p + 1, (size_t)(end - p) - 1) == 0);
-}
-
-/* Whether the arena is as it was, but for the `size` bytes at `p`. */
-static bool is_clean_around(const arena *a, const uint8_t *p, size_t size, uint8_t fill)
-{
-    return is_filled(a->begin, p, fill) && is_filled(p + size, a->begin + a->size, fill);
-}
-
-static arena arenas[DRIVE_SLOT_COUNT];
-
-/* For `drive`: the memory of one call. */
-static void *place(drive_slot slot, size_t size)
-{
-    return put(&arenas[slot], size, slot == DRIVE_INPUT ? now.shift : 0, filler(slot));
-}
-
-static void drop(drive_slot slot, void *p, size_t size)
-{
-    if (!is_clean_around(&arenas[slot], p, size, filler(slot)))
-        check(false, "memory around an array was written");
-}
-
-/* A frame that the protocol can carry. */
-static canser_frame random_frame(int protocol)
-{
-    static const int64_t units[] = {1, 1000, 1000000, 1000000000};
-    canser_frame f;
-
-    memset(&f, 0, sizeof f);
-    f.ext = plain_format_of(protocol)->has_ext && random_below(2);
-    f.id = (uint32_t)random_word() & (f.ext ? 0x1FFFFFFF : 0x7FF);
-    if (random_below(8) == 0)
-        f.id = f.ext ? 0x1FFFFFFF : 0x7FF;
-    f.rtr = random_below(4) == 0;
-    f.err = plain_format_of(protocol)->has_err && random_below(8) == 0;
-    f.dlc = (uint8_t)random_below(9);
-    /* All eight, whatever the dlc: what lies behind it must not go out. */
-    for (int i = 0; i < 8; i++)
-        f.data[i] = (uint8_t)random_word();
-    f.ts = (int64_t)(random_word() % 0x200000000) * units[random_below(4)] - 0x80000000;
-    return f;
-}
-
-/* Kinds of streams. */
-enum {
-    KIND_CLEAN,   /* frames, one behind the other */
-    KIND_NOISY,   /* the same with control packets, and bytes lost, changed and added */
-    KIND_HOSTILE, /* any order of the bytes that mean something */
-    KIND_MARKERS, /* nothing but the first byte of candidates */
-    KIND_COUNT
-};
-
-static size_t random_packet(int protocol, uint8_t out[CANSER_PACKET_MAX])
-{
-    const canser_frame f = random_frame(protocol);
-    int refusal;
-
-    if (protocol == PLAIN_cantalope && random_below(6) == 0) {
-        out[0] = out[1] = 0xFF;
-        out[2] = (uint8_t)random_below(2);
-        out[3] = (uint8_t)random_word();
-        return out[2] ? 4 : 3;
-    }
-    if (protocol == PLAIN_seeed && random_below(4) == 0) {
-        unsigned sum = 0;
-        out[0] = 0xAA;
-        out[1] = 0x55;
-        for (int i = 2; i < 19; i++)
-            out[i] = (uint8_t)random_word();
-        if (random_below(2)) {
-            out[2] = 0x01;
-            out[3] = f.ext ? 2 : 1;
-            out[4] = f.rtr ? 2 : 1;
-            for (int i = 0; i < 4; i++)
-                out[5 + i] = (uint8_t)(f.id >> 8 * i);
-            out[9] = f.dlc;
-        }
-        for (int i = 2; i < 19; i++)
-            sum += out[i];
-        out[19] = (uint8_t)sum;
-        return 20;
-    }
-    size_t len = plain_encode(protocol, 1000, &f, out, &refusal);
-    if (f.rtr && random_below(2)) {
-        /* The other form of a remote frame: with filler, or without. */
-        if (protocol == PLAIN_serial) {
-            len--;
-            for (int i = 0; i < f.dlc; i++)
-                out[len++] = (uint8_t)random_word();
-            out[len++] = 0xBB;
-        } else if (protocol == PLAIN_seeed) {
-            len -= 1 + (size_t)f.dlc;
-            out[len++] = 0x55;
-        }
-    }
-    return len;
-}
-
-static void make_stream(int protocol, int kind, uint8_t *stream, size_t len)
-{
-    const char *const alphabet = plain_format_of(protocol)->alphabet;
-    size_t pos = 0;
-
-    while (pos < len) {
-        uint8_t packet[CANSER_PACKET_MAX];
-        size_t packet_len = 1;
-
-        if (kind == KIND_HOSTILE) {
-            packet[0] = (uint8_t)alphabet[random_below(8)];
-        } else if (kind == KIND_MARKERS) {
-            packet[0] = (uint8_t)alphabet[0];
-        } else {
-            packet_len = random_packet(protocol, packet);
-        }
-        if (kind == KIND_NOISY && random_below(3) == 0)
-            packet[random_below(packet_len)] ^= (uint8_t)(1 << random_below(8));
-        if (kind == KIND_NOISY && random_below(3) == 0)
-            packet_len = 1 + random_below(packet_len);
-        for (size_t i = 0; i < packet_len && pos < len; i++)
-            stream[pos++] = packet[i];
-        if (kind == KIND_NOISY && random_below(4) == 0 && pos < len)
-            stream[pos++] = (uint8_t)alphabet[random_below(8)];
-    }
-}
 
 /* The rows of three decodings. */
 static struct {
@@ -276,8 +41,7 @@ static plain_stream open_stream, ended_stream;
 
 static void set_up(void)
 {
-    for (int i = 0; i < DRIVE_SLOT_COUNT; i++)
-        arenas[i] = arena_new(ROW_CAP * sizeof(canser_control));
+    slots_set_up(ROW_CAP * sizeof(canser_control));
     driven = (drive){.frames = rows[0].frames,
                      .offsets = rows[0].offsets,
                      .ends = rows[0].ends,
@@ -769,33 +533,6 @@ static void check_encode(const canser_frame *frames, size_t count, int64_t tick_
     drop(DRIVE_INPUT, out, cap);
 }
 
-/* A frame that is wrong in one way. Returns false if the protocol carries it. */
-static bool spoil(int protocol, int refusal, canser_frame *f)
-{
-    switch (refusal) {
-    case CANSER_REFUSAL_DLC:
-        f->dlc = (uint8_t)(9 + random_below(247));
-        return true;
-    case CANSER_REFUSAL_ID:
-        f->ext = 0;
-        f->id = 0x800 + (uint32_t)random_below(0x1000);
-        return true;
-    case CANSER_REFUSAL_ID_EXT:
-        f->ext = 1;
-        f->id = 0x20000000 + (uint32_t)random_below(0xE0000000);
-        return plain_format_of(protocol)->has_ext;
-    case CANSER_REFUSAL_EXT:
-        f->ext = 1;
-        return !plain_format_of(protocol)->has_ext;
-    case CANSER_REFUSAL_ERR:
-        f->err = 1;
-        return !plain_format_of(protocol)->has_err;
-    default:
-        f->ts = CANSER_NO_TIME;
-        return plain_format_of(protocol)->has_clock;
-    }
-}
-
 /* Ask why each frame cannot be carried, and say what must come of it. */
 static void check_refuse(const canser_frame *frames, size_t count)
 {
@@ -953,11 +690,6 @@ static void check_batch_refused(bench *b, int expected, const char *what)
     check(memcmp(&b->decoder, &b->before, sizeof b->decoder) == 0,
           "the decoder has changed in flush");
     set_bench(b);
-}
-
-static void *behind(void *p, size_t distance)
-{
-    return (uint8_t *)p + distance;
 }
 
 static void test_batch_arguments(bench *b)
@@ -1137,7 +869,7 @@ static void test_encode_arguments(void)
         check(result.frame_count == 0 && result.byte_count == 0 &&
                   result.refusal == CANSER_REFUSAL_NONE,
               "the results are not set");
-        check(is_filled(out, out + sizeof out, 0x5A), "out was written");
+        check(is_filled(out, sizeof out, 0x5A), "out was written");
     }
     now.part = "encode: tick below 1";
     for (int64_t tick_ns = -1; tick_ns < 1; tick_ns++) {
@@ -1147,12 +879,12 @@ static void test_encode_arguments(void)
         check(result.frame_count == 0 && result.byte_count == 0 &&
                   result.refusal == CANSER_REFUSAL_NONE,
               "the results are not set");
-        check(is_filled(out, out + sizeof out, 0x5A), "out was written");
+        check(is_filled(out, sizeof out, 0x5A), "out was written");
     }
     now.part = "encode: result NULL";
     check(canser_encode(protocol, 1000, frames, 2, out, sizeof out, NULL) == CANSER_NULL,
           "another status");
-    check(is_filled(out, out + sizeof out, 0x5A), "out was written");
+    check(is_filled(out, sizeof out, 0x5A), "out was written");
 
     now.part = "encode: out that touches";
     check(canser_encode(protocol, 1000, frames, 2, behind(frames, 48), 20, &result) == CANSER_OK,
@@ -1189,7 +921,7 @@ static void test_refuse_arguments(void)
         check(canser_refuse(calls[i].protocol, calls[i].frames, calls[i].frame_count,
                             calls[i].refusals) == calls[i].status,
               "another status");
-        check(is_filled(refusals, refusals + sizeof refusals, 0x5A), "refusals was written");
+        check(is_filled(refusals, sizeof refusals, 0x5A), "refusals was written");
     }
 }
 
@@ -1197,7 +929,7 @@ static void test_refuse_arguments(void)
 /* Bytes that are all zero are no report and no packet. */
 static bool is_zero(const void *p, size_t size)
 {
-    return is_filled(p, (const uint8_t *)p + size, 0);
+    return is_filled(p, size, 0);
 }
 
 /* canser_explain, with all memory against guard pages. */
@@ -1457,7 +1189,7 @@ static arena times_arenas[TIMES_ARRAYS];
 
 static void *place_times(int array, const void *values, size_t size)
 {
-    uint8_t *const p = put(&times_arenas[array], size, 0, 0x5A);
+    uint8_t *const p = arena_put(&times_arenas[array], size, 0, UNUSED_BYTE);
 
     if (size && values)
         memcpy(p, values, size);
@@ -1467,7 +1199,7 @@ static void *place_times(int array, const void *values, size_t size)
 /* Whether the memory around an array is as it was, and the array as it must be. */
 static void check_times(int array, const void *p, const void *values, size_t size)
 {
-    check(is_clean_around(&times_arenas[array], p, size, 0x5A),
+    check(arena_is_clean(&times_arenas[array], p, size, UNUSED_BYTE),
           "memory around an array was written");
     check(!size || memcmp(p, values, size) == 0, "the times differ");
 }
@@ -1803,8 +1535,8 @@ static void test_times_arguments(void)
               "another status");
     }
     now.part = "times: what is left";
-    check(done == 1 && is_filled((const uint8_t *)memory, (const uint8_t *)(memory + 4), 0x5A) &&
-              is_filled((const uint8_t *)samples, (const uint8_t *)(samples + 2), 0x5A),
+    check(done == 1 && is_filled(memory, sizeof memory, 0x5A) &&
+              is_filled(samples, sizeof samples, 0x5A),
           "something was written");
 }
 
@@ -1897,7 +1629,11 @@ static void test_join_arguments(bench *b)
     canser_frame copies[4];
 
     now.part = "join";
+    /* A frame in front: the stream alone may have none. */
+    const canser_frame sent = random_frame(now.protocol);
+    int refusal;
     make_stream(now.protocol, KIND_CLEAN, b->data, sizeof b->data);
+    plain_encode(now.protocol, 1000, &sent, b->data, &refusal);
     check(canser_chunk_decode(&chunk, b->decoder.protocol, b->decoder.clock.tick_ns, b->data, 64, 0,
                               64, 0, &b->batch) == CANSER_OK,
           "a chunk returns another status");
@@ -1933,11 +1669,11 @@ static void test_join_arguments(bench *b)
     check(canser_chunk_deliver(&chunk, frames, 0, count, NULL) == CANSER_NULL, "out NULL");
     check(canser_chunk_deliver(&chunk, NULL, 0, 0, NULL) == CANSER_OK, "no frames");
     check(canser_chunk_deliver(&chunk, frames, 1, 0, copies) == CANSER_OK, "no frames");
-    check(is_filled((uint8_t *)copies, behind(copies, sizeof copies), 0x5A), "out was written");
+    check(is_filled(copies, sizeof copies, 0x5A), "out was written");
     check(canser_chunk_deliver(&chunk, frames, count - 1, 1, copies + 1) == CANSER_OK, "status");
     check(memcmp(copies[1].data, frames[count - 1].data, 8) == 0, "another frame");
-    check(is_filled((uint8_t *)copies, behind(copies, sizeof *copies), 0x5A) &&
-              is_filled(behind(copies, 2 * sizeof *copies), behind(copies, sizeof copies), 0x5A),
+    check(is_filled(copies, sizeof *copies, 0x5A) &&
+              is_filled(copies + 2, 2 * sizeof *copies, 0x5A),
           "more than one frame was written");
     set_bench(b);
 }
@@ -2110,6 +1846,5 @@ int main(int argc, char **argv)
         test_times_arguments();
         test_arguments();
     }
-    printf("%llu passed, %llu failed\n", passed, failed);
-    return failed > 0;
+    return report_checks();
 }
