@@ -4,7 +4,10 @@
 
 #include "drive.h"
 
-enum { UNUSED_BYTE = 0x5A }; /* around an array, and in one that nothing has written to */
+enum {
+    UNUSED_BYTE = 0x5A, /* around an array, and in one that nothing has written to */
+    SHIFT_MAX = 8       /* of now.shift: all alignments of a word */
+};
 
 /* Some pages between two that may not be touched. */
 typedef struct {

@@ -23,132 +23,6 @@
 #include <sys/mman.h>
 #include <unistd.h>
 
-enum { FRAMES_MAX = 12 /* of an encoding */ };
-
-/* Encode into `cap` bytes, and say what must come of it: frames up to the first
- * that does not fit or is refused. */
-static void check_encode(const canser_frame *frames, size_t count, int64_t tick_ns, size_t cap)
-{
-    const size_t frames_size = count * sizeof *frames;
-    uint8_t expected[FRAMES_MAX * CANSER_PACKET_MAX];
-    canser_encoded result = {SIZE_MAX, SIZE_MAX, -1};
-    size_t expected_count = 0, expected_len = 0;
-    int refusal = CANSER_REFUSAL_NONE;
-
-    for (; expected_count < count; expected_count++) {
-        uint8_t packet[CANSER_PACKET_MAX];
-        const size_t len =
-            plain_encode(now.protocol, tick_ns, &frames[expected_count], packet, &refusal);
-        if (refusal != CANSER_REFUSAL_NONE || len > cap - expected_len)
-            break;
-        memcpy(expected + expected_len, packet, len);
-        expected_len += len;
-    }
-
-    canser_frame *const in = place(DRIVE_FRAMES, frames_size);
-    uint8_t *const out = place(DRIVE_INPUT, cap);
-    memcpy(in, frames, frames_size);
-    const int status = canser_encode(canser_protocol_at((size_t)now.protocol), tick_ns, in, count,
-                                     out, cap, &result);
-
-    check(status == (refusal ? CANSER_REFUSED : CANSER_OK), "the status of encode differs");
-    check(result.refusal == refusal, "the refusal differs");
-    check(result.frame_count == expected_count, "the number of frames encoded differs");
-    check(result.byte_count == expected_len, "the number of bytes encoded differs");
-    if (result.byte_count == expected_len)
-        check(memcmp(out, expected, expected_len) == 0, "the bytes encoded differ");
-    check(memcmp(in, frames, frames_size) == 0, "the frames were written to");
-    drop(DRIVE_FRAMES, in, frames_size);
-    drop(DRIVE_INPUT, out, cap);
-}
-
-/* Ask why each frame cannot be carried, and say what must come of it. */
-static void check_refuse(const canser_frame *frames, size_t count)
-{
-    const size_t frames_size = count * sizeof *frames;
-    canser_frame *const in = place(DRIVE_FRAMES, frames_size);
-    uint8_t *const refusals = place(DRIVE_INPUT, count);
-
-    memcpy(in, frames, frames_size);
-    check(canser_refuse(canser_protocol_at((size_t)now.protocol), in, count, refusals) == CANSER_OK,
-          "the status of refuse differs");
-    for (size_t i = 0; i < count; i++) {
-        uint8_t packet[CANSER_PACKET_MAX];
-        int refusal = CANSER_REFUSAL_NONE;
-
-        plain_encode(now.protocol, 1000, &frames[i], packet, &refusal);
-        check(refusals[i] == refusal, "refuse gives another reason");
-    }
-    check(memcmp(in, frames, frames_size) == 0, "the frames were written to");
-    drop(DRIVE_FRAMES, in, frames_size);
-    drop(DRIVE_INPUT, refusals, count);
-}
-
-static void test_encode(void)
-{
-    static const int64_t ticks[] = {1, 7, 1000, 1000000, 1000000000};
-    canser_frame frames[FRAMES_MAX];
-
-    now.part = "encode";
-    for (now.protocol = 0; now.protocol < PLAIN_PROTOCOL_COUNT; now.protocol++) {
-        for (size_t round = 0; round < 4 * FRAMES_MAX; round++) {
-            const size_t count = round % (FRAMES_MAX + 1);
-            const int64_t tick_ns = ticks[random_below(5)];
-            const int refusal = (int)random_below(CANSER_REFUSAL_COUNT);
-
-            for (size_t i = 0; i < count; i++)
-                frames[i] = random_frame(now.protocol);
-            now.kind = CANSER_REFUSAL_NONE;
-            if (count && refusal != CANSER_REFUSAL_NONE) {
-                canser_frame bad = random_frame(now.protocol);
-                if (spoil(now.protocol, refusal, &bad)) {
-                    frames[random_below(count)] = bad;
-                    now.kind = refusal;
-                }
-            }
-            now.frame_cap = count;
-            for (int side = 0; side < 2; side++) {
-                now.at_end = side;
-                for (size_t cap = 0; cap <= count * CANSER_PACKET_MAX; cap++) {
-                    now.len = cap;
-                    now.shift = side ? 0 : cap % (SHIFT_MAX + 1);
-                    check_encode(frames, count, tick_ns, cap);
-                }
-            }
-            now.shift = 0;
-            check_refuse(frames, count);
-        }
-    }
-}
-
-/* The refusals one by one, each at its own index. */
-static void test_refusals(void)
-{
-    now.part = "refusals";
-    for (now.protocol = 0; now.protocol < PLAIN_PROTOCOL_COUNT; now.protocol++) {
-        for (int refusal = 1; refusal < CANSER_REFUSAL_COUNT; refusal++) {
-            canser_frame frames[FRAMES_MAX];
-            const size_t index = (size_t)refusal;
-            canser_frame bad = random_frame(now.protocol);
-            if (!spoil(now.protocol, refusal, &bad))
-                continue;
-
-            uint8_t out[FRAMES_MAX * CANSER_PACKET_MAX];
-            canser_encoded result;
-            for (size_t i = 0; i < FRAMES_MAX; i++)
-                frames[i] = random_frame(now.protocol);
-            frames[index] = bad;
-            now.kind = refusal;
-            check(canser_encode(canser_protocol_at((size_t)now.protocol), 1000, frames, FRAMES_MAX,
-                                out, sizeof out, &result) == CANSER_REFUSED,
-                  "a frame that cannot be carried is not refused");
-            check(result.refusal == refusal, "a frame is refused for another reason");
-            check(result.frame_count == index, "another frame is refused");
-            check_refuse(frames, FRAMES_MAX);
-        }
-    }
-}
-
 /* A decoder in the middle of a stream, and arrays to fill. */
 typedef struct {
     canser_decoder decoder, before;
@@ -454,158 +328,6 @@ static void test_refuse_arguments(void)
     }
 }
 
-/* The names and the numbers that the header promises. */
-/* Bytes that are all zero are no report and no packet. */
-static bool is_zero(const void *p, size_t size)
-{
-    return is_filled(p, size, 0);
-}
-
-/* canser_explain, with all memory against guard pages. */
-static int explain(const uint8_t *bytes, size_t len, canser_report *report)
-{
-    uint8_t *const input = place(DRIVE_INPUT, len);
-    canser_report *const out = place(DRIVE_CONTROLS, sizeof *out);
-
-    if (len)
-        memcpy(input, bytes, len);
-    const int status = canser_explain(canser_protocol_at((size_t)now.protocol), input, len, out);
-    check(len == 0 || memcmp(input, bytes, len) == 0, "the packet was written");
-    drop(DRIVE_INPUT, input, len);
-    drop(DRIVE_CONTROLS, out, sizeof *out);
-    *report = *out;
-    return status;
-}
-
-/* Explained is what is one control packet, and nothing else is. */
-static void check_explained(const uint8_t *bytes, size_t len)
-{
-    canser_report report;
-
-    expect_streams(bytes, len, 1000);
-    const bool is_control =
-        open_stream.control_count == 1 && open_stream.stats.bytes_control == len;
-    check(explain(bytes, len, &report) == (is_control ? CANSER_OK : CANSER_NO_CONTROL),
-          "another status");
-    check(is_control || is_zero(&report, sizeof report), "the report is not set");
-
-    int kind = CANSER_CONTROL_OTHER;
-    if (is_control && now.protocol == PLAIN_cantalope)
-        kind = bytes[2] == 0x00 ? CANSER_CONTROL_PING : CANSER_CONTROL_ERROR;
-    else if (is_control && bytes[2] == 0x04)
-        kind = CANSER_CONTROL_STATUS;
-    else if (report.kind == CANSER_CONTROL_CONFIGURATION) /* test_configure says when */
-        kind = report.kind;
-    check(report.kind == kind, "another kind");
-}
-
-static void test_explain(void)
-{
-    enum { TRIES = 400 };
-
-    now.part = "explain";
-    now.shift = 0;
-    for (now.protocol = 0; now.protocol < PLAIN_PROTOCOL_COUNT; now.protocol++) {
-        for (int side = 0; side < 2; side++) {
-            now.at_end = side;
-            for (int i = 0; i < TRIES; i++) {
-                uint8_t bytes[2 * CANSER_PACKET_MAX + 1];
-                size_t len = random_packet(now.protocol, bytes);
-
-                check_explained(bytes, len);
-                check_explained(bytes, len - 1);
-                len += random_packet(now.protocol, bytes + len);
-                check_explained(bytes, len);
-            }
-            for (now.kind = 0; now.kind < KIND_COUNT; now.kind++) {
-                for (size_t len = 0; len <= CANSER_PACKET_MAX + 1; len++) {
-                    uint8_t bytes[CANSER_PACKET_MAX + 1];
-
-                    make_stream(now.protocol, now.kind, bytes, len);
-                    check_explained(bytes, len);
-                }
-            }
-        }
-    }
-}
-
-/* A configuration of which any value may be out of range. */
-static canser_config random_config(void)
-{
-    static const uint32_t rates[] = {1000000, 800000, 500000, 400000, 250000, 200000, 125000,
-                                     100000,  50000,  20000,  10000,  5000,   0,      5001};
-    static const uint32_t ids[] = {0, 0x123, 0x12345678, 0x1FFFFFFF, 0x20000000, UINT32_MAX};
-
-    return (canser_config){
-        .bitrate = rates[random_below(sizeof rates / sizeof *rates)],
-        .filter_id = ids[random_below(sizeof ids / sizeof *ids)],
-        .filter_mask = ids[random_below(sizeof ids / sizeof *ids)],
-        .mode = (uint8_t)random_below(CANSER_MODE_COUNT + 1),
-        .ext_only = (uint8_t)random_below(3),
-        .once = (uint8_t)random_below(3),
-        .fixed = (uint8_t)random_below(3),
-    };
-}
-
-static int plain_configure_status(const canser_config *config)
-{
-    if (!plain_format_of(now.protocol)->has_bitrates)
-        return CANSER_UNABLE;
-    return config->bitrate < 5000 || config->bitrate == 5001 || config->filter_id > 0x1FFFFFFF ||
-                   config->filter_mask > 0x1FFFFFFF || config->mode > 3
-               ? CANSER_RANGE
-               : CANSER_OK;
-}
-
-/* What is configured is what the packet, a control packet, says. */
-static void check_configured(const canser_config *config)
-{
-    canser_config *const input = place(DRIVE_INPUT, sizeof *input);
-    canser_packet *const out = place(DRIVE_CONTROLS, sizeof *out);
-    canser_report report;
-
-    *input = *config;
-    const int expected = plain_configure_status(config);
-    check(canser_configure(canser_protocol_at((size_t)now.protocol), input, out) == expected,
-          "another status");
-    const canser_packet packet = *out;
-    drop(DRIVE_INPUT, input, sizeof *input);
-    drop(DRIVE_CONTROLS, out, sizeof *out);
-    if (expected) {
-        check(is_zero(&packet, sizeof packet), "there is a packet after an error");
-        return;
-    }
-    check(packet.len == CANSER_PACKET_MAX, "another length");
-    check_explained(packet.bytes, packet.len);
-    check(explain(packet.bytes, packet.len, &report) == CANSER_OK, "no control packet");
-    check(report.kind == CANSER_CONTROL_CONFIGURATION && report.receive_errors == 0 &&
-              report.transmit_errors == 0 && report.number == 0,
-          "no configuration");
-    const canser_config *const told = &report.config;
-    check(told->bitrate == config->bitrate && told->filter_id == config->filter_id &&
-              told->filter_mask == config->filter_mask && told->mode == config->mode &&
-              told->ext_only == (config->ext_only != 0) && told->once == (config->once != 0) &&
-              told->fixed == (config->fixed != 0),
-          "another configuration is told");
-}
-
-static void test_configure(void)
-{
-    enum { TRIES = 2000 };
-
-    now.part = "configure";
-    now.kind = 0;
-    now.shift = 0;
-    for (now.protocol = 0; now.protocol < PLAIN_PROTOCOL_COUNT; now.protocol++) {
-        for (int i = 0; i < TRIES; i++) {
-            const canser_config config = random_config();
-
-            now.at_end = i % 2;
-            check_configured(&config);
-        }
-    }
-}
-
 static void test_adapter_arguments(void)
 {
     const canser_protocol *const protocol = canser_protocol_at((size_t)now.protocol);
@@ -617,96 +339,25 @@ static void test_adapter_arguments(void)
     now.part = "configure: NULL";
     memset(&packet, 0x5A, sizeof packet);
     check(canser_configure(NULL, &config, &packet) == CANSER_NULL, "another status");
-    check(is_zero(&packet, sizeof packet), "the packet is not set");
+    check(is_filled(&packet, sizeof packet, 0), "the packet is not set");
     memset(&packet, 0x5A, sizeof packet);
     check(canser_configure(protocol, NULL, &packet) == CANSER_NULL, "another status");
-    check(is_zero(&packet, sizeof packet), "the packet is not set");
+    check(is_filled(&packet, sizeof packet, 0), "the packet is not set");
     check(canser_configure(protocol, &config, NULL) == CANSER_NULL, "another status");
 
     now.part = "explain: NULL";
     memset(&report, 0x5A, sizeof report);
     check(canser_explain(NULL, &byte, 1, &report) == CANSER_NULL, "another status");
-    check(is_zero(&report, sizeof report), "the report is not set");
+    check(is_filled(&report, sizeof report, 0), "the report is not set");
     memset(&report, 0x5A, sizeof report);
     check(canser_explain(protocol, NULL, 1, &report) == CANSER_NULL, "another status");
-    check(is_zero(&report, sizeof report), "the report is not set");
+    check(is_filled(&report, sizeof report, 0), "the report is not set");
     check(canser_explain(protocol, &byte, 1, NULL) == CANSER_NULL, "another status");
 
     now.part = "explain: no bytes";
     memset(&report, 0x5A, sizeof report);
     check(canser_explain(protocol, NULL, 0, &report) == CANSER_NO_CONTROL, "another status");
-    check(is_zero(&report, sizeof report), "the report is not set");
-}
-
-/* The packets of a row are control packets, or none. */
-static void check_row_packet(const canser_packet *packet, int protocol, int kind)
-{
-    canser_report report;
-
-    now.len = packet->len;
-    check((packet->len != 0) == (now.protocol == protocol), "a packet that is there, or is not");
-    check(is_zero(packet->bytes + packet->len, sizeof packet->bytes - packet->len),
-          "padding is not zero");
-    if (packet->len) {
-        check(explain(packet->bytes, packet->len, &report) == CANSER_OK && report.kind == kind,
-              "another kind of packet");
-    }
-}
-
-static void test_tables(void)
-{
-    now.part = "tables";
-    for (now.protocol = 0; now.protocol < PLAIN_PROTOCOL_COUNT; now.protocol++) {
-        const canser_protocol *const p = canser_protocol_at((size_t)now.protocol);
-        const plain_format *const format = plain_format_of(now.protocol);
-        size_t len_min = SIZE_MAX, len_max = 0;
-
-        check(p && strcmp(p->name, format->name) == 0, "another name");
-        check(p && p->has_clock == format->has_clock, "has_clock");
-        for (int i = 0; i < 10000; i++) {
-            const canser_frame f = random_frame(now.protocol);
-            uint8_t packet[CANSER_PACKET_MAX];
-            int refusal;
-            const size_t len = plain_encode(now.protocol, 1, &f, packet, &refusal);
-            len_min = len < len_min ? len : len_min;
-            len_max = len > len_max ? len : len_max;
-        }
-        check(p && p->frame_min == len_min, "frame_min");
-        check(p && p->frame_max == len_max, "frame_max");
-        check(p && p->baudrate == format->baudrate, "baudrate");
-        check(p && (p->bitrates != NULL) == format->has_bitrates, "bitrates");
-        if (p) {
-            check_row_packet(&p->ping, PLAIN_cantalope, CANSER_CONTROL_PING);
-            check_row_packet(&p->status_request, PLAIN_seeed, CANSER_CONTROL_STATUS);
-        }
-    }
-    check(!canser_protocol_at(PLAIN_PROTOCOL_COUNT) && !canser_protocol_at(SIZE_MAX),
-          "there is a protocol past the last");
-    now.protocol = 0;
-
-    for (int i = 0; i < CANSER_REJECT_COUNT; i++) {
-        const char *const name = canser_reject_name(i);
-        check(name && *name && strspn(name, "abcdefghijklmnopqrstuvwxyz") == strlen(name),
-              "the name of a reject is not one lower-case word");
-    }
-    check(!canser_reject_name(-1) && !canser_reject_name(CANSER_REJECT_COUNT),
-          "there is a reject past the last");
-    for (int i = 0; i < CANSER_REFUSAL_COUNT; i++)
-        check(canser_refusal_text(i), "a refusal has no text");
-    check(!canser_refusal_text(-1) && !canser_refusal_text(CANSER_REFUSAL_COUNT),
-          "there is a refusal past the last");
-    for (int i = 0; i < CANSER_REFUSAL_COUNT; i++)
-        check(canser_refusal_name(i), "a refusal has no name");
-    check(!canser_refusal_name(-1) && !canser_refusal_name(CANSER_REFUSAL_COUNT),
-          "there is a refusal past the last");
-    for (int i = 0; i < CANSER_MODE_COUNT; i++)
-        check(canser_mode_name(i), "a mode has no name");
-    check(!canser_mode_name(-1) && !canser_mode_name(CANSER_MODE_COUNT),
-          "there is a mode past the last");
-    for (int i = 0; i < CANSER_CONTROL_COUNT; i++)
-        check(canser_control_name(i), "a kind of control packets has no name");
-    check(!canser_control_name(-1) && !canser_control_name(CANSER_CONTROL_COUNT),
-          "there is a kind of control packets past the last");
+    check(is_filled(&report, sizeof report, 0), "the report is not set");
 }
 
 /* Times: a call has values of its own in memory against guard pages. */
@@ -1369,6 +1020,7 @@ int main(int argc, char **argv)
         test_refusals();
         test_configure();
         test_explain();
+        test_row_packets();
         test_times();
         test_times_arguments();
         test_arguments();

@@ -5,9 +5,8 @@
 #include "drive.h"
 
 enum {
-    LEN_MAX = 160,             /* the longest stream: some windows, and a page holds its rows */
-    ROW_CAP = LEN_MAX / 2 + 2, /* no packet is shorter than 2 bytes */
-    SHIFT_MAX = 8              /* all alignments of a word */
+    LEN_MAX = 160,            /* the longest stream: some windows, and a page holds its rows */
+    ROW_CAP = LEN_MAX / 2 + 2 /* no packet is shorter than 2 bytes */
 };
 
 extern drive driven;

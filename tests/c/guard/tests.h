@@ -11,4 +11,16 @@ void test_chunks(void);
 void test_chunk_clocks(void);
 void test_chunk_chains(void);
 
+/* encode.c */
+void test_encode(void);
+void test_refusals(void);
+
+/* adapter.c */
+void test_configure(void);
+void test_explain(void);
+void test_row_packets(void);
+
+/* tables.c */
+void test_tables(void);
+
 #endif
