@@ -20,7 +20,16 @@ void test_configure(void);
 void test_explain(void);
 void test_row_packets(void);
 
+/* timing.c */
+void test_times(void);
+
+/* timing_arguments.c */
+void test_times_arguments(void);
+
 /* tables.c */
 void test_tables(void);
+
+/* huge.c */
+void test_huge(void);
 
 #endif
