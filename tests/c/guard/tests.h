@@ -23,6 +23,22 @@ void test_row_packets(void);
 /* timing.c */
 void test_times(void);
 
+/* decoder_arguments.c */
+void test_decoder_arguments(void);
+void test_advance(void);
+void test_full_controls(void);
+
+/* chunk_arguments.c */
+void test_chunk_arguments(void);
+void test_join_arguments(void);
+
+/* encode_arguments.c */
+void test_encode_arguments(void);
+void test_refuse_arguments(void);
+
+/* adapter_arguments.c */
+void test_adapter_arguments(void);
+
 /* timing_arguments.c */
 void test_times_arguments(void);
 
