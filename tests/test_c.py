@@ -55,8 +55,9 @@ def build(program: Path, *arguments: str | Path) -> Path:
 
 
 def build_test(folder: Path, name: str, *flags: str) -> Path:
-    sources = [HERE / "c" / f"{name}.c", *SHARED, *SOURCES]
-    return build(folder / name, *flags, f"-I{CORE}", *sources)
+    """Build a program of one file, or of all files of a folder."""
+    own = sorted((HERE / "c" / name).glob("*.c")) or [HERE / "c" / f"{name}.c"]
+    return build(folder / name, *flags, f"-I{CORE}", f"-I{HERE / 'c'}", *own, *SHARED, *SOURCES)
 
 
 def assert_all_pass(output: str) -> None:
