@@ -20,6 +20,9 @@ lint: $(VENV)/.lint ## run the linters
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run -Werror csrc/*.[ch] csrc/protocols/*.c tests/c/*.[ch] tests/c/guard/*.[ch] bench/*.c examples/*.c
 
+docs: $(VENV)/.docs ## make the documentation in build/docs; warnings are errors
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
+
 bench: $(VENV)/.bench ## print what is reached and what must be; plot time against size
 	$(BIN)/python bench/table.py
 	$(BIN)/python bench/growth.py --plot build/growth.png
