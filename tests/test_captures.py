@@ -19,6 +19,7 @@ import pytest
 import canser
 from canser import _input
 from canser._frames import FRAME_DTYPE, FrameArray
+from canser.codec import doubt
 from canser.errors import CanserWarning, FormatError, NoProtocolError
 from canser.files import raw
 from canser.files.raw import BLOCK_FRAMES
@@ -393,6 +394,15 @@ def test_the_wrong_protocol_is_one_warning(protocol: str, wrong: str, tmp_path: 
     decoder = canser.Decoder(wrong)
     decoder.feed(path.read_bytes())
     decoder.flush()
+
+
+@pytest.mark.parametrize(("skipped", "limit"), [(1, 0.5), (0.9999, 0.5), (0.9, 0.27), (0.1, 0.03)])
+def test_the_limit_is_half_of_the_bytes_only_where_packets_have_marks(
+    skipped: float, limit: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(doubt, "_skipped_of_random", lambda _: skipped)
+    assert doubt.most_skipped("seeed") == pytest.approx(limit)
+    assert doubt.has_marks("seeed") == (limit == 0.5)
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

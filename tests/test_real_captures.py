@@ -1,5 +1,6 @@
 """Real traffic as adapters send it: every frame of the logs, in order, nothing skipped."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import canser
 import shared
 from canser._frames import NO_TIME, FrameArray
 from canser.commands import cli
+from canser.errors import CanserWarning
 
 pytestmark = shared.needs_captures
 
@@ -103,3 +105,11 @@ def test_the_protocol_of_each_is_recognised(name: str) -> None:
         best = canser.identify(sample)[0]
         assert best.fits
         assert best.protocol == name.split(".")[1]
+
+
+@pytest.mark.parametrize(("log", "protocol"), PAIRS)
+@pytest.mark.parametrize("wrong", canser.protocols())
+def test_a_wrong_protocol_is_doubted(log: str, protocol: str, wrong: str) -> None:
+    raw = (shared.CAPTURES / f"{log}.{protocol}.bin").read_bytes()
+    with nullcontext() if wrong == protocol else pytest.warns(CanserWarning, match="in no"):
+        canser.decode(raw, wrong)
