@@ -12,7 +12,7 @@ from canser.commands._parser import CallError, DataError
 from canser.commands._source import check_found, opened, options_named
 from canser.files.fits import identify
 from canser.files.formats import RAW
-from canser.files.judge import describe_fit
+from canser.files.judge import describe_fit, likely
 from canser.files.reader import ReadOptions
 from canser.files.reading import Blocks
 
@@ -79,7 +79,7 @@ class TrafficFile(Iterator[FrameArray]):
         if not len(sample):
             return
         fit = identify(sample)[0]
-        if not fit.fits or fit.protocol != decoder.protocol:
+        if decoder.protocol not in likely(fit):
             raise DataError(
                 f"{self.name}: these bytes look like {describe_fit(fit)}, not like "
                 f"{decoder.protocol}; none of them are sent; --as-is accepts them"

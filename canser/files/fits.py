@@ -1,15 +1,17 @@
 """Rank the protocols by how many of some bytes each explains beyond chance."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from canser._core.buffers import BytesLike, as_bytes
+from canser._core.table import find_protocol
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser._protocols import protocols
 from canser.codec.decoder import Decoder, Stats
+from canser.codec.doubt import has_marks
 
 __all__ = ["Fit", "identify"]
 
@@ -26,10 +28,26 @@ _SHUFFLES: Final = 24
 # Frames that are decoded at a time: 96 KiB of records, which fit a cache.
 _ROOM: Final = 4096
 
-# Scores that differ by less do not separate two protocols. Then the protocol wins that explains
-# fewer of the shuffled bytes. Otherwise a quiet bus, which repeats the same few bytes, could be
-# taken for `cantalope`, in which nearly any bytes are a frame.
+# A protocol fits if it explains more than this share of the bytes, beyond chance.
+_HALF: Final = 0.5
+
+# Scores that differ by less do not separate two protocols. Then a protocol with marks wins: that
+# bytes are frames of it is no accident. Otherwise a quiet bus, which repeats the same few bytes,
+# could be taken for `cantalope`, in which nearly any bytes are a frame.
 _CLOSE: Final = 0.05
+
+# A protocol that explains this share of the bytes, and no less than the best one does, may be the
+# right one, even if shuffled bytes are explained as well.
+_ALL: Final = 0.99
+
+# Frames of one length stay in step with any bus that repeats that many bytes, or a few times as
+# many. Without marks this is an accident: it happens for `canet13` in one of ten such buses. The
+# limit is a round of so many frames: in a longer one each of them would have to be an accident.
+_ROUND_MOST: Final = 3
+
+# A bus repeats itself if this share of the bytes is the same as a round before: in 13 bytes there
+# may be two counters, and some noise.
+_SAME: Final = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,11 +72,13 @@ class Fit:
     luck: float
     #: Counters of the decoder for the bytes that were examined.
     stats: Stats
+    #: Other protocols that the bytes may be of as well. If there are any, none fits.
+    rivals: tuple[str, ...] = ()
 
     @property
     def fits(self) -> bool:
-        """Whether the bytes are of this protocol: `score` over 0.5, and `luck` below 0.05."""
-        return self.score > 0.5 and self.luck < _LUCK_MOST
+        """Whether the bytes are this protocol: `score` over 0.5, `luck` below 0.05, no rivals."""
+        return self.score > _HALF and self.luck < _LUCK_MOST and not self.rivals
 
 
 def identify(data: BytesLike) -> list[Fit]:
@@ -74,8 +94,9 @@ def identify(data: BytesLike) -> list[Fit]:
     -------
     list of Fit
         One for each protocol, the best first. `Fit.fits` says whether the best is good enough:
-        noise and text fit no protocol. Among protocols that fit about equally well, the one that
-        explains least of random bytes is first. The same bytes give the same result.
+        noise and text fit no protocol. Among protocols that fit about equally well, one with
+        marks is first. If none of them has marks, as may be on a quiet bus, they are each other's
+        `rivals`, and none fits. The same bytes give the same result.
 
     Raises
     ------
@@ -101,13 +122,44 @@ def identify(data: BytesLike) -> list[Fit]:
     rng = np.random.default_rng(0)
     shuffles = [rng.permutation(sample) for _ in range(_SHUFFLES)]
     fits = [_fit(protocol, sample, shuffles) for protocol in protocols()]
+    marked = {fit.protocol for fit in fits if has_marks(fit.protocol)}
+    return _rank(fits, marked, {fit.protocol for fit in fits if _repeats(sample, fit.protocol)})
+
+
+def _repeats(sample: npt.NDArray[np.uint8], protocol: str) -> bool:
+    """Return whether bytes repeat themselves by the one length of a protocol's frames."""
+    row = find_protocol(protocol)
+    if row.frame_min != row.frame_max:
+        return False
+    rounds = range(row.frame_min, _ROUND_MOST * row.frame_min + 1, row.frame_min)
+    return any(
+        len(sample) > length and float(np.mean(sample[length:] == sample[:-length])) > _SAME
+        for length in rounds
+    )
+
+
+def _rank(fits: list[Fit], marked: set[str], repeated: set[str]) -> list[Fit]:
+    """Return the fits, the best first, with rivals where others may be right as well.
+
+    `marked`: the protocols whose packets have marks. A bus that repeats the same few bytes may
+    give frames of any other protocol at each round, and of several. `repeated`: the protocols
+    with one length of frames by which the bytes repeat themselves.
+    """
     ranked = sorted(fits, key=lambda fit: (-fit.score, -fit.explained, fit.protocol))
     close = [fit for fit in ranked if fit.fits and fit.score >= ranked[0].score - _CLOSE]
-    if close:
-        winner = min(close, key=lambda fit: fit.chance)
-        ranked.remove(winner)
-        ranked.insert(0, winner)
-    return ranked
+    if not close:
+        return ranked
+    winner = min(close, key=lambda fit: (fit.protocol not in marked, fit.chance))
+    if winner.protocol not in marked:
+        winner = next((fit for fit in ranked if fit.fits and fit.protocol in marked), winner)
+    others = [fit for fit in ranked if fit is not winner]
+    rivals = []
+    if winner.protocol not in marked:
+        least = _HALF if winner.protocol in repeated else max(winner.explained, _ALL)
+        rivals = [fit.protocol for fit in others if fit.fits or fit.explained >= least]
+    if rivals:
+        others = [replace(fit, rivals=(winner.protocol,)) if fit.fits else fit for fit in others]
+    return [replace(winner, rivals=tuple(rivals)), *others]
 
 
 def _sample(data: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:

@@ -17,6 +17,7 @@ __all__ = [
     "describe_doubt",
     "describe_fit",
     "is_auto",
+    "likely",
 ]
 
 # The name that stands for the protocol that fits best, if its score (`Fit.score`) is at least
@@ -64,9 +65,9 @@ def _no_protocol(name: str, fit: Fit | None) -> NoProtocolError:
     """Return the error for bytes with this best fit; `fit` is None if there are no bytes."""
     if fit is None:
         return NoProtocolError(name, "there are no bytes to tell a protocol by", protocols())
-    choices = protocols()
-    if fit.fits:
-        choices = (fit.protocol, AUTO) if _is_plain(fit) else (fit.protocol,)
+    choices = likely(fit) or protocols()
+    if _is_plain(fit):
+        choices = (fit.protocol, AUTO)
     return NoProtocolError(name, f"these bytes look like {describe_fit(fit)}", choices)
 
 
@@ -78,7 +79,7 @@ def describe_doubt(name: str, protocol: str, bytes_in: int, skipped: int, sample
     if not is_doubtful(protocol, bytes_in, skipped):
         return ""
     fit = identify(sample)[0]
-    look = describe_fit(fit) if fit.protocol != protocol else _NOTHING
+    look = describe_fit(fit) if protocol not in likely(fit) else _NOTHING
     return (
         f"{name}: {skipped / bytes_in:.0%} of the {bytes_in:,} bytes are in no "
         f"{protocol} packet; they look like {look}"
@@ -89,8 +90,13 @@ def _is_plain(fit: Fit) -> bool:
     return fit.fits and fit.score >= _AUTO_SCORE
 
 
+def likely(fit: Fit) -> tuple[str, ...]:
+    """Return the protocols that bytes may be of which this is the best fit."""
+    return (fit.protocol, *fit.rivals) if fit.fits or fit.rivals else ()
+
+
 def describe_fit(fit: Fit) -> str:
     """Return what bytes with this best fit look like."""
     if fit.fits:
         return f"{fit.protocol} ({fit.score:.0%})"
-    return _NOTHING
+    return " or ".join(likely(fit)) or _NOTHING
