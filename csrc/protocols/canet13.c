@@ -1,71 +1,112 @@
-/* canet13: 13 bytes a frame, of converters from CAN to Ethernet or a serial line.
+/* canet13: the gateways from CAN to Ethernet and serial of USR, EByte, Waveshare and others.
  *
- *     info | id u32 BE | data, 8 bytes
- *      0      1           5
+ *     info | id u32 BE | payload, 8 bytes
+ *      0     1           5                    info: ext rtr 0 0 dlc[3..0]
  *
- *     info: bit 7 extended, bit 6 remote, bits 5 and 4 zero, bits 3..0 dlc
+ * The same in both directions; over TCP, UDP or a serial line.
  *
- * Source: the manuals of USR-CANET200, EByte E810-DTU and ECAN, and Waveshare 2-CH-CAN-TO-ETH:
- * "CAN frame format" of the transparent mode with 13 bytes.
+ * Source: the manuals of the USR-CANET200, of EByte's ECAN and E810-DTU, and of Waveshare's
+ * 2-CH-CAN-TO-ETH.
  *
  * Known ambiguities:
  * - Nothing marks a frame's start, and there is no checksum: after a lost byte wrong frames come
- *   out until the scan falls back into step. Over TCP no byte is lost.
- * - The manuals' examples have zeros behind the dlc, and do not ask for them: anything may stand
- *   there, and is not part of the frame. Written as zeros.
- * - Remote frames have 8 bytes of data, too, which mean nothing.
- * - No error frames, no timestamp, no control packets. Heartbeats and registration texts are what
- *   a user of the converter has entered: they are skipped.
+ *   out, until bytes that start no frame end that. Over TCP no byte is lost.
+ * - In the manuals' examples the bytes past the dlc are 0. Any value is accepted; written as 0.
+ * - In remote frames, too, 8 bytes follow.
+ * - Gateways send texts of the user's own, as sign of life and to register: skipped.
+ * - No error frames, no timestamp, no control packets; a web page configures the gateway.
  */
 #include "protocol.h"
 
-enum { LEN = 13, ID_AT = 1, DATA_AT = 5 };
-enum { INFO_EXT = 0x80, INFO_RTR = 0x40, INFO_ZERO = 0x30, INFO_DLC = 0x0F };
+enum { ID = 1, HEADER = 5, LEN = HEADER + DLC_MAX };
 
-CANSER_INLINE uint32_t load_be32(const uint8_t *p)
+/* The info byte. */
+enum { BIT_EXT = 7, BIT_RTR = 6, INFO_ZERO = 0x30, INFO_DLC = 0x0F, INFO_NOT_EXT = 0x7F };
+
+/* The bits that no id has, by ext. */
+static const uint32_t id_over[] = {~(uint32_t)ID_STD_MAX, ~(uint32_t)ID_EXT_MAX};
+
+/* Compilers know this for one instruction. */
+CANSER_INLINE uint32_t swapped(uint32_t id)
 {
-    return (uint32_t)p[0] << 24 | (uint32_t)p[1] << 16 | (uint32_t)p[2] << 8 | p[3];
+    return id << 24 | (id << 8 & 0xFF0000) | (id >> 8 & 0xFF00) | id >> 24;
 }
 
 CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *frame, uint32_t *raw)
 {
-    const unsigned info = p[0], dlc = info & INFO_DLC;
-    const unsigned ext = info >> 7, rtr = info >> 6 & 1;
+    const unsigned info = p[0], ext = info >> BIT_EXT;
+    const size_t dlc = info & INFO_DLC;
 
     (void)raw;
     if (info & INFO_ZERO)
         return probe_reject(CANSER_REJECT_TYPE);
     if (dlc > DLC_MAX)
         return probe_reject(CANSER_REJECT_DLC);
-    if (avail < DATA_AT)
+    if (avail < HEADER)
         return probe_more();
-    const uint32_t id = load_be32(p + ID_AT);
-    if (id > (uint32_t)(ext ? ID_EXT_MAX : ID_STD_MAX))
+    const uint32_t id = swapped(load_le32(p + ID));
+    if (id & id_over[ext])
         return probe_reject(CANSER_REJECT_ID);
     if (avail < LEN)
         return probe_more();
-    store_frame(frame, id, ext, rtr, 0, dlc, p + DATA_AT);
+    store_frame(frame, id, ext, info >> BIT_RTR & 1, 0, dlc, p + HEADER);
     return probe_frame(LEN);
+}
+
+/* All frames have one length. */
+CANSER_INLINE bool begin_plain(const uint8_t *p, size_t *lead)
+{
+    (void)p;
+    *lead = LEN;
+    return true;
+}
+
+/* No remote frame: with its flag, as with those that must be 0, the dlc, too, is over 8. */
+CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *frame, uint32_t *raw)
+{
+    const uint8_t *const begin = *p;
+    const size_t dlc = begin[0] & INFO_NOT_EXT, ext = begin[0] >> BIT_EXT;
+    const uint32_t id = swapped(load_le32(begin + ID));
+
+    (void)lead;
+    (void)raw;
+    if (!CANSER_LIKELY(dlc <= DLC_MAX) || !CANSER_LIKELY(!(id & id_over[ext])))
+        return false;
+    *p = begin + LEN;
+    store_words(frame, FRAME_HEAD(id, ext, 0, 0, dlc), load_payload(begin + HEADER, dlc));
+    return true;
+}
+
+CANSER_INLINE uint8_t *emit_fields(unsigned info, uint32_t id, uint64_t payload, uint8_t *out)
+{
+    out[0] = (uint8_t)info;
+    store_le32(out + ID, swapped(id));
+    memcpy(out + HEADER, &payload, sizeof payload);
+    return out + LEN;
+}
+
+CANSER_INLINE uint8_t *emit_plain(const plain_frame *plain, uint32_t raw, const uint8_t *payload,
+                                  uint8_t *out)
+{
+    (void)raw;
+    return emit_fields((unsigned)(plain->ext << BIT_EXT | plain->dlc), plain->id,
+                       load_payload(payload, plain->dlc), out);
 }
 
 CANSER_INLINE uint8_t *emit(const canser_frame *frame, uint32_t raw, uint8_t *out)
 {
     const unsigned ext = frame->ext != 0, rtr = frame->rtr != 0;
-    const uint64_t data = load_payload(frame->data, rtr ? 0 : frame->dlc);
 
     (void)raw;
-    out[0] = (uint8_t)(ext << 7 | rtr << 6 | frame->dlc);
-    for (int i = 0; i < 4; i++)
-        out[ID_AT + i] = (uint8_t)(frame->id >> (24 - 8 * i));
-    memcpy(out + DATA_AT, &data, sizeof data);
-    return out + LEN;
+    return emit_fields(ext << BIT_EXT | rtr << BIT_RTR | frame->dlc, frame->id,
+                       load_payload(frame->data, rtr ? 0 : frame->dlc), out);
 }
 
 #define NAME       canet13
 #define HAS_CLOCK  0
 #define HAS_EXT    1
 #define HAS_ERR    0
-#define HAS_PLAIN  0
+#define HAS_PLAIN  1
 #define FRAME_MIN  LEN
 #define FRAME_MAX  LEN
 #define PACKET_MAX LEN
@@ -76,8 +117,8 @@ static const struct canser_codec codec = {.scan = scan, .encode = encode, .refus
 const canser_protocol canser_protocol_canet13 = {
     .name = "canet13",
     .aliases = "",
-    .frame_min = LEN,
-    .frame_max = LEN,
+    .frame_min = FRAME_MIN,
+    .frame_max = FRAME_MAX,
     .has_clock = HAS_CLOCK,
     .baudrate = 115200,
     .codec = &codec,
