@@ -3,6 +3,7 @@
 import dataclasses
 import doctest
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -237,3 +238,19 @@ def test_json_is_all_that_is_printed(folder: Path, capfd: pytest.CaptureFixture[
     assert main(["info", "noise.bin", "-p", "seeed", "--json"]) == 1
     printed = capfd.readouterr()
     assert json.loads(printed.out)["doubt"] in printed.err
+
+
+def test_bytes_that_may_be_two_protocols_are_told(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A bus of one frame, whose bytes are frames of another protocol without marks, too."""
+    path = tmp_path / "run.bin"
+    path.write_bytes(bytes.fromhex("08 000001 23 11 22 33 44 55 66 77 88") * 600)
+    either = r"canet13 or cantalope|cantalope or canet13"
+    with pytest.raises(canser.NoProtocolError, match=f"look like ({either}); give protocol='can"):
+        canser.read(path, "auto")
+    assert main(["info", str(path)]) == 1
+    said = rf"run\.bin may be ({either}); name the protocol with -p\n"
+    assert re.search(said, capfd.readouterr().err)
+    for protocol in ("canet13", "cantalope"):
+        assert main(["info", str(path), "-p", protocol]) == 0

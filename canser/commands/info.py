@@ -25,6 +25,7 @@ from canser.commands._source import (
     source_arguments,
 )
 from canser.errors import NoProtocolError
+from canser.files.judge import describe_fit
 
 __all__ = ["add"]
 
@@ -98,6 +99,9 @@ def _no_protocol(path: str, *, ranked: bool) -> CallError | DataError:
     size = os.path.getsize(path)  # noqa: PTH202
     if size == 0:
         return DataError(f"{path} is empty")
+    fits = rank_protocols(path)
     if ranked:
-        show([*report.fit_lines(rank_protocols(path), size), ""])
+        show([*report.fit_lines(fits, size), ""])
+    if fits[0].rivals:
+        return DataError(f"{path} may be {describe_fit(fits[0])}; name the protocol with -p")
     return DataError(f"no protocol fits {path}; name it with -p if you know better")
