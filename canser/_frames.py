@@ -59,23 +59,43 @@ _FILTER = re.compile(f"(?:{_NUMBER.format('id')})?(?P<kind>[:~#]){_NUMBER.format
 def match(frames: FrameArray, *filters: str) -> npt.NDArray[np.bool_]:
     """Mark the frames that pass any of the filters: ids, or can-utils' notation.
 
-    `frames`: array of FRAME_DTYPE, any shape. Returns a boolean array of that
-    shape: `frames.compress(canser.match(frames, "123"))`. Hexadecimal, with or without 0x:
+    Parameters
+    ----------
+    frames : FrameArray
+        Array of FRAME_DTYPE, any shape.
+    *filters : str
+        Each in hexadecimal, with or without 0x. Without a filter all frames pass.
 
-    - `ID`       data and remote frames with exactly that id: standard where ID has
-      one to three digits (`123`), extended where it has eight (`18FEF100`); four to
-      seven digits are an error
-    - `ID:MASK`  (id & MASK) == (ID & MASK)
-    - `ID~MASK`  the inverse
-    - `#MASK`    error frames with (id & MASK) != 0; no other filter passes those
+        - ``ID``: data and remote frames with exactly that id; standard if ID has one to three
+          digits (`123`), extended if it has eight (`18FEF100`). Four to seven digits are an error.
+        - ``ID:MASK``: frames with (id & MASK) == (ID & MASK)
+        - ``ID~MASK``: the inverse
+        - ``#MASK``: error frames with (id & MASK) != 0. No other filter passes error frames.
 
-    Bits 31 and 30 of ID and MASK stand for extended and remote frames:
-    `123:7FF` passes 0x123 of every kind, `123:C00007FF` standard data frames
-    only. An ID of eight digits means extended. So `123` is `123:800007FF`, and
-    `18FEF100` is `18FEF100:9FFFFFFF`. Without a filter all pass.
-    TypeError for another dtype, ValueError for a filter that cannot be read.
+    Returns
+    -------
+    numpy array of bool
+        Of the shape of `frames`, for `frames.compress(canser.match(frames, "123"))`.
 
-    Source: candump's manual page, and the kernel's `can_rcv_filter`; ID alone is canser's own.
+    Raises
+    ------
+    TypeError
+        `frames` is no array of FRAME_DTYPE.
+    ValueError
+        A filter cannot be read.
+
+    Notes
+    -----
+    Bits 31 and 30 of ID and MASK stand for extended and remote frames: `123:7FF` passes 0x123 of
+    every kind, `123:C00007FF` standard data frames only. An ID of eight digits means extended. So
+    `123` is `123:800007FF`, and `18FEF100` is `18FEF100:9FFFFFFF`.
+
+    Source: candump's manual page, and the kernel's `can_rcv_filter`. An ID alone is canser's own.
+
+    Examples
+    --------
+    >>> canser.match(canser.frames("123#01", "124#02", "18FEF100#"), "123", "18FEF100")
+    array([ True, False,  True])
     """
     if getattr(frames, "dtype", None) != FRAME_DTYPE:
         raise TypeError(
@@ -188,17 +208,31 @@ def copy_records(records: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
 def concat(arrays: Iterable[FrameArray]) -> FrameArray:
     """Join arrays of frames into one, in their order.
 
-    `arrays`: a list or another iterable of arrays of FRAME_DTYPE, each of shape (n,), contiguous
-    or not. Returns a new array of FRAME_DTYPE, of as many frames as all have together; an empty
-    one for no arrays. The same as `np.concatenate`, in a twentieth of its time: numpy copies
-    frames field by field. `canser.concat([frames])` is a copy as fast.
+    The same as `np.concatenate`, in a tenth of its time: numpy copies frames field by field.
+    `canser.concat([frames])` is a copy as fast.
 
-        frames = canser.concat([decoder.feed(data) for data in pieces])
+    Parameters
+    ----------
+    arrays : iterable of FrameArray
+        Arrays of FRAME_DTYPE, each of shape (n,), contiguous or not. Arrays that were filled in the
+        same `out` hold the same frames: copy each before the next call.
 
-    Arrays that were filled in the same `out` hold the same frames: copy each before the next.
+    Returns
+    -------
+    FrameArray
+        New array of FRAME_DTYPE, with the frames of all arrays; empty for no arrays.
 
-    TypeError for what is no array of FRAME_DTYPE, and for a masked array; ValueError for an
-    array that does not have one dimension.
+    Raises
+    ------
+    TypeError
+        An item is no array of FRAME_DTYPE, or is a masked array.
+    ValueError
+        An array does not have one dimension.
+
+    Examples
+    --------
+    >>> len(canser.concat([canser.frames("123#01"), canser.frames("124#", "125#")]))
+    3
     """
     if isinstance(arrays, np.ndarray):
         raise TypeError("arrays must be a list of arrays of frames, not one array; pass [array]")

@@ -11,7 +11,18 @@ TS_UNITS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 
 
 def protocols() -> tuple[str, ...]:
-    """Return the names of the protocols, in alphabetical order."""
+    """Return the names of the protocols, in alphabetical order.
+
+    Returns
+    -------
+    tuple of str
+        The names that `Decoder`, `open` and the others take.
+
+    Examples
+    --------
+    >>> "seeed" in canser.protocols()
+    True
+    """
     return tuple(PROTOCOLS)
 
 
@@ -23,12 +34,17 @@ def protocol(name: str) -> Protocol:
     name : str
         One of `protocols()`, or an accepted spelling, in any case.
 
+    Returns
+    -------
+    Protocol
+        The row of the protocol: lengths of frames, baud rate, bit rates and more.
+
     Raises
     ------
     TypeError
-        For what is no string.
+        `name` is no string.
     ValueError
-        For a name that is unknown; the message has those that are known.
+        `name` is unknown; the message has the names that are known.
 
     Examples
     --------

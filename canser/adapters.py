@@ -79,7 +79,9 @@ class AdapterConfig:
 
 @dataclass(frozen=True, slots=True)
 class AdapterReport:
-    """What a control packet says. A field that its kind does not have is None.
+    """What a control packet says; returned by `report` and `Port.request_status`.
+
+    A field that its kind does not have is None.
 
     The same bytes mean the same in both directions: a request for the status reads as a
     status without errors.

@@ -92,7 +92,7 @@ class PortDeniedError(PortError):
 
 
 class PortBusyError(PortError):
-    """Somebody else has the port open."""
+    """Another program has the port open."""
 
 
 class PortGoneError(PortError):
@@ -104,7 +104,15 @@ class PortClosedError(PortError):
 
 
 class SendError(PortError):
-    """Not all could be sent; `sent` frames went out whole before it, and `reason` says why."""
+    """Not all frames could be sent.
+
+    Attributes
+    ----------
+    sent : int
+        The frames that went out whole before the error.
+    reason : str
+        Why no more went out.
+    """
 
     def __init__(self, message: str, sent: int, reason: str = "") -> None:
         super().__init__(message)

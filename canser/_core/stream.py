@@ -35,9 +35,11 @@ assert _CONTROL_DTYPE.itemsize == ffi.sizeof("canser_control")
 
 
 class Control(NamedTuple):
-    """A packet that is valid but is no CAN frame: its stream offset and its bytes."""
+    """A packet that is valid but is no CAN frame; returned by `Decoder.take_controls`."""
 
+    #: Of its first byte in the stream.
     offset: int
+    #: The packet as it came.
     data: bytes
 
 

@@ -13,9 +13,9 @@ Pointer = Any
 
 @dataclass(frozen=True)
 class Protocol:
-    """What a protocol is and can: one row of the table of protocols in C.
+    """What a protocol is and can; returned by `canser.protocol`.
 
-    `canser.protocol` gives it by the name.
+    It is one row of the table of protocols in C.
     """
 
     #: The name, as `protocols` gives it.

@@ -55,27 +55,38 @@ _CONTROLS_KEPT = 1 << 16
 
 @dataclass(frozen=True, slots=True)
 class Stats:
-    """The counters of a stream, a snapshot.
+    """The counters of a stream, a snapshot; returned by `Decoder.stats` and others.
 
-    Laws: `bytes_in == bytes_framed + bytes_control + bytes_skipped + pending`, and
-    the rejects add up to `bytes_skipped`. They depend on the bytes alone, not on
-    how the stream was cut into pieces.
+    Two laws always hold: `bytes_in == bytes_framed + bytes_control + bytes_skipped + pending`, and
+    the rejects add up to `bytes_skipped`. The counters depend on the bytes alone, not on how the
+    stream was cut.
     """
 
-    bytes_in: int  # bytes taken
-    bytes_framed: int  # of these, inside frames
-    bytes_control: int  # inside control packets
-    bytes_skipped: int  # inside no packet
+    #: Bytes taken.
+    bytes_in: int
+    #: Bytes inside frames.
+    bytes_framed: int
+    #: Bytes inside control packets.
+    bytes_control: int
+    #: Bytes inside no packet.
+    bytes_skipped: int
+    #: Frames found.
     frames: int
-    controls: int  # packets that are valid but no CAN frames
-    resyncs: int  # unbroken runs of skipped bytes
-    rejects: Mapping[str, int]  # skipped bytes by the reason why no packet starts there
-    pending: int  # bytes held: the start of a packet that is not whole yet
-    ts_wraps: int  # steps of the device clock forward through zero
-    ts_backsteps: int  # steps of the device clock back: a restart, or false frames
-    # Of these, those of more than 2**24 ticks from a clock in line, one that made 16 small steps
-    # forward: a restart, a silence of more than half a turn of the counter, or a false time. They
-    # cannot be told apart, and all times from there on may be whole turns off.
+    #: Control packets found: packets that are valid but no CAN frames.
+    controls: int
+    #: Unbroken runs of skipped bytes.
+    resyncs: int
+    #: Skipped bytes by the reason why no packet starts there.
+    rejects: Mapping[str, int]
+    #: Bytes held: the start of a packet that is not whole yet.
+    pending: int
+    #: Steps of the device clock forward through zero.
+    ts_wraps: int
+    #: Steps of the device clock back: a restart, or false frames.
+    ts_backsteps: int
+    #: Of the steps back, those of more than 2**24 ticks from a clock in line, one that has made 16
+    #: small steps forward: a restart, a silence of more than half a turn of the counter, or a false
+    #: time. These cannot be told apart, and all later times may be whole turns off.
     ts_uncertain: int
 
     def __post_init__(self) -> None:
@@ -94,26 +105,49 @@ def add_stats(one: Stats, other: Stats) -> Stats:
 
 
 class Decoder(Uncopied):
-    """Decode one stream, piece by piece.
+    """Decode one stream, piece by piece, without I/O.
 
-    `protocol`: a name of `protocols()` or an accepted spelling. `ts_unit`: the unit
-    of the device's timestamps, "s", "ms", "us" or "ns"; the wire does not tell it,
-    and a protocol without a clock does not use it. ValueError for an unknown one.
-
-    A device's clock is a counter of 32 bits, which the decoder unwraps by the bytes alone: each
-    step is the shorter way round. A false time out of noise spoils its own frame only. But all
-    times behind it may be whole turns off (a turn: 49.7 days of "ms", 71.6 minutes of "us")
-
-    - behind 4 false times in a row, or 2 before the clock has made 16 small steps forward;
-    - behind a silence of more than half a turn, which reads as a step back.
-
-    `Stats.ts_uncertain` counts where that may be. Frames of a port and of a recording come with
-    the host's time: there neither happens.
-
-    Sans-I/O. It does not matter how the stream is cut. Two threads may share a
-    decoder: they wait for each other. A signal handler may not, if it interrupts a call in its
+    It does not matter how the stream is cut. Two threads may share a decoder: they wait for each
+    other. A signal handler must not use a decoder of which it may have interrupted a call in its
     own thread: it gets a RuntimeError, and nothing is changed. C works without the GIL, so
     decoders in several threads run in parallel. A decoder cannot be copied or pickled.
+
+    Parameters
+    ----------
+    protocol : str
+        A name of `protocols()` or an accepted spelling.
+    ts_unit : {"ms", "us", "ns", "s"}, default "ms"
+        The unit of the device's timestamps. The wire does not tell it. A protocol without a clock
+        does not use it.
+
+    Raises
+    ------
+    TypeError
+        `protocol` is no string.
+    ValueError
+        `protocol` or `ts_unit` is unknown.
+
+    Notes
+    -----
+    A device's clock is a counter of 32 bits, which the decoder unwraps by the bytes alone: each
+    step is the shorter way round. A false time out of noise spoils its own frame only. But all
+    times after it may be whole turns off (a turn: 49.7 days of "ms", 71.6 minutes of "us")
+
+    - after 4 false times in a row, or 2 before the clock has made 16 small steps forward;
+    - after a silence of more than half a turn, which reads as a step back.
+
+    `Stats.ts_uncertain` counts where that may be. Frames of a port and of a recording have the
+    host's time: there neither happens.
+
+    Examples
+    --------
+    >>> decoder = canser.Decoder("seeed")
+    >>> len(decoder.feed(bytes.fromhex("aac12301ff55 aac2")))
+    1
+    >>> decoder.feed(bytes.fromhex("24010102 55"))["id"]
+    array([292], dtype=uint32)
+    >>> decoder.stats.bytes_skipped
+    0
     """
 
     _keeps_controls = True  # for `take_controls`
@@ -150,10 +184,23 @@ class Decoder(Uncopied):
     def feed(self, data: BytesLike) -> FrameArray:
         """Decode the next bytes; return the frames they complete.
 
-        `data`: any contiguous buffer of bytes, read in place. Returns a new array
-        of FRAME_DTYPE, shape (n,), that owns its memory. All of `data` is taken; a
-        packet that is not whole is held (`pending`). TypeError, BufferError for
-        data that is no contiguous buffer of bytes.
+        Parameters
+        ----------
+        data : bytes-like
+            Any contiguous buffer of bytes, read in place. All of it is taken; a packet that is not
+            whole is held (`pending`).
+
+        Returns
+        -------
+        FrameArray
+            New array of FRAME_DTYPE, shape (n,), that owns its memory.
+
+        Raises
+        ------
+        TypeError, BufferError
+            `data` is no contiguous buffer of bytes.
+        RuntimeError
+            The call interrupts another one of the same thread (in a signal handler).
         """
         source = data if type(data) is bytes else input_bytes(data)
         if len(source) <= SMALL_MOST:
@@ -167,16 +214,40 @@ class Decoder(Uncopied):
     ) -> tuple[int, int]:
         """Decode the next bytes into `out`; allocate nothing.
 
-        `data`: any contiguous buffer of bytes, read in place. `out`: array of
-        FRAME_DTYPE, shape (n,), n >= 1, contiguous. `offsets`: array of int64 or
-        uint64, at least as long: the position of each frame's first byte in the
-        stream. Returns `(used, count)`: the bytes taken, and the frames now in
-        `out[:count]`. When `out` is full, `used` may be less than the length of
-        `data`: call again with `data[used:]`. The rest of `out` stays as it was.
+        Parameters
+        ----------
+        data : bytes-like
+            Any contiguous buffer of bytes, read in place.
+        out : FrameArray
+            Array of FRAME_DTYPE, shape (n,), n >= 1, contiguous. Rows behind the frames stay as
+            they were.
+        offsets : numpy array of int64 or uint64, optional
+            At least as long as `out`. It is filled with the position of each frame's first byte in
+            the stream.
 
-        TypeError for a wrong type or dtype; ValueError for wrong shape, room,
-        alignment, or memory that overlaps; BufferError for what is read-only or
-        not contiguous. After an error nothing was taken.
+        Returns
+        -------
+        used : int
+            The bytes that were taken. Fewer than `data` has if `out` is full: call again with
+            `data[used:]`.
+        count : int
+            The frames, now in `out[:count]`.
+
+        Raises
+        ------
+        TypeError
+            An argument has a wrong type or dtype.
+        ValueError
+            An array has a wrong shape, no room, a wrong alignment, or shares memory with another
+            one.
+        BufferError
+            `data` is not contiguous, or an array is read-only.
+        RuntimeError
+            The call interrupts another one of the same thread (in a signal handler).
+
+        Notes
+        -----
+        After an error nothing was taken.
         """
         source = data if type(data) is bytes else input_bytes(data)
         size = len(source)
@@ -204,17 +275,37 @@ class Decoder(Uncopied):
     def flush(self) -> FrameArray:
         """End the stream: scan what is held; return the last frames.
 
-        A candidate that lacks bytes counts as skipped (reject "cut"). Returns a new
-        array of FRAME_DTYPE. Feeding may go on afterwards, as after a gap: counters,
-        offsets and clock go on.
+        A candidate that lacks bytes counts as skipped (reject "cut"). Feeding may go on
+        afterwards, as after a gap: counters, offsets and clock go on.
+
+        Returns
+        -------
+        FrameArray
+            New array of FRAME_DTYPE, shape (n,).
         """
         return self._alone(self._collect, input_bytes(b""), ends=True)
 
     def flush_into(self, out: FrameArray, offsets: Offsets | None = None) -> int:
         """End the stream as `flush` does, into `out`; return the number of frames.
 
-        Call again while `pending` is not 0: `out` was full. `out`, `offsets` and
-        errors as in `feed_into`.
+        Call again while `pending` is not 0: `out` was full.
+
+        Parameters
+        ----------
+        out : FrameArray
+            As in `feed_into`.
+        offsets : numpy array of int64 or uint64, optional
+            As in `feed_into`.
+
+        Returns
+        -------
+        int
+            The frames, now in `out[:count]`.
+
+        Raises
+        ------
+        TypeError, ValueError, BufferError
+            As in `feed_into`.
         """
         return self._alone(self._flush_to, check_output(out, offsets))
 
@@ -234,7 +325,7 @@ class Decoder(Uncopied):
         return used
 
     def flush_room(self, room: FrameRoom, count: int, most: int) -> None:
-        """End the stream as `flush_into` does, into room as `feed_room`."""
+        """End the stream into room as `feed_room` takes it; for this package's own use."""
         while self._stream.pending and count < most:
             count += self._alone(self._flush_to, room.between(count, most))
 
@@ -273,10 +364,15 @@ class Decoder(Uncopied):
         return bool(self._controls)
 
     def take_controls(self) -> list[Control]:
-        """Return the control packets since the last call, oldest first: offset and bytes.
+        """Return the control packets since the last call, the oldest first.
 
-        `Stats.controls` counts them all. Of those that no caller takes, the newest 65,536
-        are kept, and `controls_dropped` counts the others.
+        `Stats.controls` counts them all. Of those that are not taken, the newest 65,536 are kept,
+        and `controls_dropped` counts the others.
+
+        Returns
+        -------
+        list of Control
+            Each with its offset in the stream, and its bytes.
         """
         batches = self._alone(self._hand_over_controls)
         return [control for rows in batches for control in unpack_controls(rows)]
@@ -451,18 +547,51 @@ def decode(
 ) -> FrameArray:
     """Decode a whole buffer, to its end.
 
-    `data`: any contiguous buffer of bytes (bytes, bytearray, memoryview, mmap,
-    numpy), read in place. Returns the frames, FRAME_DTYPE, shape (n,): a new array,
-    or `out[:n]` where `out` is given. `offsets`: array of int64 or uint64, filled
-    with the position of each frame's first byte. `ts_unit` as for `Decoder`. `threads`:
-    how many may work on it, of which one for each core are used, and 16 at most; the result
-    is the same for any number.
+    Parameters
+    ----------
+    data : bytes-like
+        Any contiguous buffer of bytes (bytes, bytearray, memoryview, mmap, numpy), read in place.
+    protocol : str
+        A name of `protocols()` or an accepted spelling.
+    ts_unit : {"ms", "us", "ns", "s"}, default "ms"
+        The unit of the device's timestamps, as for `Decoder`.
+    out : FrameArray, optional
+        Array of FRAME_DTYPE, shape (m,), that the frames go to.
+    offsets : numpy array of int64 or uint64, optional
+        It is filled with the position of each frame's first byte.
+    threads : int, default 1
+        How many threads may work on it: at most one for each core is used, and 16. The result is
+        the same for any number.
+    as_is : bool, default False
+        Whether to leave out the warning about a protocol that is not that of the bytes.
 
-    A CanserWarning tells where so many bytes lie in no packet that the protocol is not theirs,
-    as `blocks` describes it; `as_is` leaves it out.
+    Returns
+    -------
+    FrameArray
+        The frames, FRAME_DTYPE, shape (n,): a new array, or `out[:n]` if `out` is given.
 
-    ValueError if `out` or `offsets` is too small, with the number that is needed;
-    other errors as for `Decoder.feed_into`. For the counters use a `Decoder`.
+    Raises
+    ------
+    ValueError
+        `out` or `offsets` is too small; the message has the number that is needed. And as for
+        `Decoder.feed_into`.
+    TypeError, BufferError
+        As for `Decoder.feed_into`.
+
+    Warns
+    -----
+    CanserWarning
+        Too many bytes lie in no packet for the protocol to be right: half of 1,000 or more; see
+        `blocks`.
+
+    Notes
+    -----
+    For the counters use a `Decoder`.
+
+    Examples
+    --------
+    >>> canser.decode(bytes.fromhex("aac12301ff55"), "seeed")["data"][0, 0]
+    np.uint8(255)
     """
     if type(threads) is not int or threads != 1:
         threads = check_threads(threads)
@@ -565,20 +694,42 @@ def encode(
     ts_unit: str = "ms",
     out: npt.NDArray[np.uint8] | None = None,
 ) -> bytes | npt.NDArray[np.uint8]:
-    """Encode frames as an adapter sends them, one packet behind the other.
+    """Encode frames as an adapter sends them, one packet after the other.
 
-    `frames`: array of FRAME_DTYPE, shape (n,), contiguous. Returns the bytes; or
-    `out[:n]` where `out`, an array of uint8, is given (20 bytes a frame are always
-    enough; what lies past the n bytes may be written over).
+    Data past the dlc and the data of remote frames are not sent. A protocol with a clock sends `ts`
+    in ticks of `ts_unit`, rounded down, modulo 2**32 as a device's counter wraps. The others send
+    no time.
 
-    Data past the dlc and the data of remote frames are not sent. A protocol with a clock
-    sends `ts` in ticks of `ts_unit`, rounded down, modulo 2**32 as a device's counter
-    wraps; the others send no time.
+    Parameters
+    ----------
+    frames : FrameArray
+        Array of FRAME_DTYPE, shape (n,), contiguous.
+    protocol : str
+        A name of `protocols()` or an accepted spelling.
+    ts_unit : {"ms", "us", "ns", "s"}, default "ms"
+        The unit of the device's clock.
+    out : numpy array of uint8, optional
+        The bytes go there. `protocol(name).frame_max` bytes a frame are always enough. Bytes past
+        the result may be written over.
 
-    ValueError for a frame that the format cannot carry, with its index and why: an
-    id over the limit of its kind, a dlc over 8, extended frames in `cantalope`,
-    error frames in `seeed` and `cantalope`, an unknown time (NaT) in `serial`; and
-    for an `out` that is too small.
+    Returns
+    -------
+    bytes or numpy array of uint8
+        The bytes; or `out[:n]` if `out` is given.
+
+    Raises
+    ------
+    ValueError
+        The format cannot carry a frame: the message has its index, and the reason (an id over the
+        limit of its kind, a dlc over 8, an extended or an error frame that the format does not
+        have, a time that is not known). Or `out` is too small.
+    TypeError, BufferError
+        An argument has a wrong type, or an array is not contiguous or read-only.
+
+    Examples
+    --------
+    >>> canser.encode(canser.frames("123#FF"), "seeed").hex(" ")
+    'aa c1 23 01 ff 55'
     """
     row = find_protocol(protocol)
     unit = tick_ns(ts_unit)

@@ -257,15 +257,39 @@ class Port(Uncopied):
     ) -> FrameArray:
         """Return the next frames.
 
-        Waits until `min_frames` are there, at most `timeout` seconds (None: for ever; 0: not
-        at all), and returns what there is: `out[:n]` where `out` is given, an array of
-        FRAME_DTYPE, contiguous; else a new array of at most `max_frames`. After the
-        time-out n may be 0.
+        Waits until `min_frames` are there, or `timeout` is over, and returns the frames that there
+        are.
 
-        PortGoneError when the device is gone, after all frames that came before;
-        PortClosedError when the port is or gets closed. Errors of `out` as for
-        `Decoder.feed_into`. After another exception, of `on_bytes` or Ctrl-C, the next call
-        returns what this one had.
+        Parameters
+        ----------
+        out : FrameArray, optional
+            Array of FRAME_DTYPE, shape (m,), contiguous, that the frames go to.
+        max_frames : int, default 4096
+            The most frames of a new array, where there is no `out`.
+        min_frames : int, default 1
+            The frames to wait for.
+        timeout : float or None, seconds
+            The longest wait. None waits for ever, 0 does not wait.
+
+        Returns
+        -------
+        FrameArray
+            FRAME_DTYPE, shape (n,): `out[:n]` if `out` is given, else a new array. After the
+            time-out n may be 0.
+
+        Raises
+        ------
+        PortGoneError
+            The device is gone, and all frames that came before were returned.
+        PortClosedError
+            The port is closed, also by another thread meanwhile.
+        TypeError, ValueError, BufferError
+            As for `Decoder.feed_into`.
+
+        Notes
+        -----
+        After another exception, of `on_bytes` or Ctrl-C, the next call returns the frames of this
+        one.
         """
         self._check_open()
         if out is None:
@@ -292,9 +316,24 @@ class Port(Uncopied):
     ) -> Iterator[FrameArray]:
         """Yield batches as they come, until the port is closed.
 
-        Each is gathered until it has `max_frames` (or fills `out`) or `timeout` seconds have
-        passed, and has at least one frame. `out` is filled again and again. PortGoneError
-        as in `read_batch`.
+        Parameters
+        ----------
+        max_frames : int, default 4096
+            The most frames of a batch, where there is no `out`.
+        timeout : float, seconds, default 0.05
+            The longest time in which a batch is gathered.
+        out : FrameArray, optional
+            Array of FRAME_DTYPE, shape (m,), that is filled again and again.
+
+        Yields
+        ------
+        FrameArray
+            FRAME_DTYPE, shape (n,), n >= 1.
+
+        Raises
+        ------
+        PortGoneError
+            As in `read_batch`.
         """
         least = max_frames if out is None else len(out)
         while True:
@@ -313,6 +352,23 @@ class Port(Uncopied):
         """Yield batches as `batches` does, without blocking the event loop.
 
         A task that is cancelled here loses no frame.
+
+        Parameters
+        ----------
+        max_frames : int, default 4096
+            The most frames of a batch.
+        timeout : float, seconds, default 0.05
+            The longest time in which a batch is gathered.
+
+        Yields
+        ------
+        FrameArray
+            New array of FRAME_DTYPE, shape (n,), n >= 1.
+
+        Raises
+        ------
+        PortGoneError
+            As in `read_batch`.
         """
         import asyncio  # noqa: PLC0415 - imported where it is used: it takes 30 ms
 
@@ -341,9 +397,17 @@ class Port(Uncopied):
             self._ring.listen(1, None)
 
     def fileno(self) -> int:
-        """Return a descriptor that is readable while bytes wait, or the port is gone.
+        """Return a descriptor that is readable while bytes wait, or when the port is gone.
 
-        For select(), poll() and event loops; not to be read. POSIX only.
+        Returns
+        -------
+        int
+            For select(), poll() and event loops. It must not be read. POSIX only.
+
+        Raises
+        ------
+        PortError
+            The system has no descriptor left.
         """
         self._check_open()
         try:
@@ -352,7 +416,13 @@ class Port(Uncopied):
             raise PortError(f"{self.url}: {error.strerror or error}") from None
 
     def hold_ready(self, held: bool) -> None:
-        """Keep that descriptor readable, for a caller who has frames left to hand on."""
+        """Keep the descriptor of `fileno` readable, for a caller who has frames left to hand on.
+
+        Parameters
+        ----------
+        held : bool
+            Whether to keep it readable.
+        """
         self._held = held
         self._hold_signal()
 
@@ -360,15 +430,27 @@ class Port(Uncopied):
         self._ring.hold_ready(self._held or self._stream.ready > 0)
 
     def take_controls(self) -> list[Control]:
-        """Return the control packets since the last call, oldest first: offset and bytes.
+        """Return the control packets since the last call, the oldest first.
 
-        `adapters.report` tells what they say. The newest 65,536 are kept. Answers to the requests
-        that follow a configuration are not among them; `stats` counts them.
+        The newest 65,536 are kept. Answers to the requests that follow a configuration are not
+        among them; `stats` counts them.
+
+        Returns
+        -------
+        list of Control
+            Each with its offset in the stream, and its bytes. `canser.adapters.report` explains
+            them.
         """
         return _empty(self._stream.controls)
 
     def take_gaps(self) -> list[Gap]:
-        """Return the places since the last call where bytes are missing, oldest first."""
+        """Return the places since the last call where bytes are missing, the oldest first.
+
+        Returns
+        -------
+        list of Gap
+            Each with its offset in the stream, and the number of missing bytes where it is known.
+        """
         return _empty(self._stream.gaps)
 
     @property
@@ -477,20 +559,39 @@ class Port(Uncopied):
     # Writing
 
     def send(self, frames: FrameItems, *, timeout: float | None = None, pace: bool = True) -> int:
-        """Send frames, as fast as the line and the bus take them; return how many, all of them.
+        """Send frames, as fast as the line and the bus take them.
 
-        `frames`: an array of FRAME_DTYPE, shape (n,), contiguous; or what `canser.frames` makes
-        one of, such as "123#DEADBEEF". A time that is not known goes out as the time since the
-        port was opened. Waits until an adapter that was configured listens; for that alone give
-        no frames, []. Returns when the system has taken the last byte. `timeout`: seconds for the
-        whole. `pace`: where the bit rate of the bus is known, at most 16 frames go out that the
-        bus cannot have sent yet, each taken to be as long as stuff bits can make it. An adapter
-        throws away what it has no room for. `pace=False` sends as fast as the line takes frames.
+        Waits until an adapter that was configured listens. To wait for that alone, send no frames:
+        []. Returns when the system has taken the last byte.
 
-        ValueError for a frame that the format cannot carry: nothing is sent then.
-        SendTimeoutError when the adapter does not listen, or the line or the bus takes no more
-        in time, SendError when the line is gone: `sent` tells how many frames went out. One that
-        is cut by the time-out counts as sent: its rest goes out before anything else.
+        Parameters
+        ----------
+        frames : FrameArray or FrameItems
+            An array of FRAME_DTYPE, shape (n,), contiguous; or what `canser.frames` makes one of,
+            such as "123#DEADBEEF". A time that is not known goes out as the time since the port
+            was opened.
+        timeout : float or None, seconds
+            For the whole call. None waits for ever.
+        pace : bool, default True
+            Whether to stay at most 16 frames ahead of what the bus carries, where its bit rate is
+            known. Each frame is taken to be as long as stuff bits can make it. An adapter throws
+            away what it has no room for. False sends as fast as the line takes frames.
+
+        Returns
+        -------
+        int
+            The frames that were sent: all of them.
+
+        Raises
+        ------
+        ValueError
+            The format cannot carry a frame. Nothing is sent.
+        SendTimeoutError
+            The adapter does not listen, or the line or the bus takes no more in time. `sent` has
+            the number of frames that went out. A frame that is cut counts as sent: its rest goes
+            out before anything else.
+        SendError
+            The line is gone; with `sent` as above.
         """
         self._check_open()
         deadline, pace = _deadline(timeout), flag(pace, "pace")
@@ -517,8 +618,19 @@ class Port(Uncopied):
     def send_raw(self, data: BytesLike, *, timeout: float | None = None) -> None:
         """Send bytes as they are, such as a command that canser does not know.
 
-        Does not wait until an adapter listens. SendError (SendTimeoutError), whose `sent` is 0,
-        when not all could be sent.
+        It does not wait until an adapter listens.
+
+        Parameters
+        ----------
+        data : bytes-like
+            The bytes.
+        timeout : float or None, seconds
+            The longest wait for the line. None waits for ever.
+
+        Raises
+        ------
+        SendTimeoutError, SendError
+            Not all bytes could be sent. `sent` is 0.
         """
         self._check_open()
         timeout = check_timeout(timeout)
@@ -529,9 +641,22 @@ class Port(Uncopied):
             raise kind(f"{self.url}: {why}; {written} of {len(raw)} bytes were sent", 0, why)
 
     def drain(self, *, timeout: float | None = None) -> bool:
-        """Wait until the line has sent all that was written; False after `timeout` seconds.
+        """Wait until the line has sent all that was written.
 
-        PortGoneError when the device is gone.
+        Parameters
+        ----------
+        timeout : float or None, seconds
+            The longest wait. None waits for ever.
+
+        Returns
+        -------
+        bool
+            Whether all was sent in time.
+
+        Raises
+        ------
+        PortGoneError
+            The device is gone.
         """
         self._check_open()
         timeout = check_timeout(timeout)
@@ -605,9 +730,25 @@ class Port(Uncopied):
     def request_status(self, *, timeout: float | None = 1.0) -> AdapterReport:
         """Ask the adapter for its status, and return the answer.
 
-        Waits until an adapter that was configured listens. Frames that come meanwhile are
-        returned by the next reads. ValueError where the protocol knows no status; PortError when
-        no answer comes.
+        Waits until an adapter that was configured listens. Frames that come meanwhile are returned
+        by the next reads.
+
+        Parameters
+        ----------
+        timeout : float or None, seconds, default 1
+            The longest wait for the answer. None waits for ever.
+
+        Returns
+        -------
+        AdapterReport
+            The status, with the error counters of the adapter.
+
+        Raises
+        ------
+        ValueError
+            The protocol knows no status request.
+        PortError
+            No answer came in time.
         """
         request = find_protocol(self.protocol).status_request
         if not request:
@@ -790,7 +931,7 @@ def _empty(items: deque[_T]) -> list[_T]:
 
 
 class PortInfo(NamedTuple):
-    """A serial port of this machine."""
+    """A serial port of this machine; returned by `list_ports`."""
 
     #: What `open` takes.
     url: str
@@ -801,7 +942,19 @@ class PortInfo(NamedTuple):
 
 
 def list_ports() -> list[PortInfo]:
-    """Return the serial ports that are plugged in, by name."""
+    """Return the serial ports that are plugged in.
+
+    Returns
+    -------
+    list of PortInfo
+        In the order of their names.
+
+    Examples
+    --------
+    >>> for port in canser.list_ports():  # doctest: +SKIP
+    ...     print(port.url, port.description)
+    /dev/ttyUSB0 USB Serial
+    """
     from serial.tools.list_ports import comports  # noqa: PLC0415 - imported where it is used
 
     return [

@@ -336,7 +336,8 @@ class LineReader:
         """Open the line anew, whenever that is possible."""
         pause, longest = _RETRY_S
         while not self._closing.wait(pause):
-            # Whoever writes has to leave first: no packet may go on on another line.
+            # A write that is under way has to end first. Otherwise a packet goes on on another
+            # line.
             if not self._writing.acquire(blocking=False):
                 continue
             self._sending = Sending()

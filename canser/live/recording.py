@@ -111,6 +111,11 @@ class RecordConfig:
     ------
     TypeError, ValueError
         For a value that is none of these.
+
+    Examples
+    --------
+    >>> canser.RecordConfig(size="100M", keep=20).keep
+    20
     """
 
     size: int | str | None = None
@@ -142,7 +147,7 @@ class RecordConfig:
         put("force", flag(self.force, "force"))
 
     def make_files(self, path: str | os.PathLike[str], info: RecordingInfo) -> RecordingFiles:
-        """Return what bytes are written to; no file is made yet."""
+        """Return what bytes are written to; for this package's own use. No file is made yet."""
         path = path if isinstance(path, os.PathLike) else text(path, "path", "'run.pcapng'")
         window_ns = None
         if self.triggers:
@@ -190,7 +195,7 @@ def _triggers(value: object) -> tuple[str, ...]:
 
 
 class RecorderEvent(NamedTuple):
-    """Something that has happened in a recording."""
+    """Something that has happened in a recording; given by a recording to `on_event`."""
 
     #: "opened", "closed", "deleted"; "vanished": removed, replaced or renamed while it was open;
     #: "restored", "set_aside": what `force` was to replace: a file, `path`.
@@ -228,7 +233,7 @@ def warn_of(event: RecorderEvent) -> None:
 
 @dataclass(frozen=True, slots=True)
 class RecorderStatus:
-    """How a recording stands, as of a moment; bytes are those of the line.
+    """How far a recording is; returned by `Recorder.status`. Bytes are those of the line.
 
     `bytes_in == bytes_recorded + bytes_passed + bytes_vanished` once it has ended, unless the disk
     was full or away. `bytes_lost` are not in it.

@@ -11,7 +11,7 @@ __all__ = ["Gap", "Read", "Ring", "holds"]
 
 
 class Gap(NamedTuple):
-    """A place in a stream where bytes are missing."""
+    """A place in a stream where bytes are missing; returned by `Port.take_gaps`."""
 
     #: Stream offset of the first byte behind it.
     offset: int

@@ -127,18 +127,18 @@ _RATE_MOST: Final = 1.25
 
 @dataclass(frozen=True, slots=True)
 class ClockEstimate:
-    """What is known of the device's clock, as compared to the host's.
+    """What is known of the device's clock, as compared to the host's; returned by `Port.clock`."""
 
-    `offset_ns`: host time less device time, now. `drift_ppm`: by how much the device's
-    clock is faster than the host's; 0 as long as it is not known. `jitter_ns`: half of the
-    last frames were late by no more than this, as compared to the quickest. `frames`: how
-    many the estimate rests on, one of each read. `restarts`: how often the device's clock jumped.
-    """
-
+    #: Host time less device time, now, in nanoseconds.
     offset_ns: int
+    #: How much faster the device's clock is than the host's, in millionths; 0 if not known.
     drift_ppm: float
+    #: Half of the last frames were late by no more than this, in nanoseconds, compared to the
+    #: quickest ones.
     jitter_ns: int
+    #: How many frames the estimate rests on: one of each read.
     frames: int
+    #: How often the device's clock jumped.
     restarts: int
 
 
