@@ -56,24 +56,24 @@ __all__ = ["Gap", "Port", "PortInfo", "list_ports", "open"]
 
 _T = TypeVar("_T")
 
-# Bits of a byte on the line, with its start and stop bit.
+# Bits of a byte on the line: the start bit, 8 data bits, the stop bit (8N1).
 _BYTE_BITS: Final = 10
 
-# The pause after a configuration where the adapter cannot be asked whether it listens.
+# The pause after a configuration, where the protocol has no status request: such an adapter cannot
+# be asked whether it listens.
 _SETTLE_S: Final = 0.1
 
-# Frames that a call which waits for a status decodes at once, for later reads.
-_AHEAD: Final = 4096
+# `request_status` decodes at most this many frames at once. They wait for later reads.
+_AHEAD_FRAMES: Final = 4096
 
-# A send looks this often whether the adapter listens.
-_LOOK_S: Final = 0.005
+# `send` checks at this interval whether the adapter listens.
+_LOOK_EVERY_S: Final = 0.005
+
+# `request_status` reads for this time, and then lets other threads read.
+_TURN_S: Final = 0.02
 
 _DEAF: Final = "the adapter did not say within the time-out that it listens"
 _BUSY: Final = "the bus can have sent no more within the time-out"
-
-
-# A call that waits for a status reads for this time, and then lets other threads read.
-_TURN_S: Final = 0.02
 
 
 def open(  # noqa: A001 - the name that the interface has, used as canser.open
@@ -93,32 +93,32 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
     Parameters
     ----------
     url : str
-        Whatever pyserial opens: a device, a pseudo terminal, `socket://host:port`,
-        `rfc2217://host:port`, `loop://`.
+        What pyserial opens: a device such as `/dev/ttyUSB0` or `COM3`, a pseudo terminal,
+        `socket://host:port`, `rfc2217://host:port`, `loop://`.
     protocol : str
-        What the adapter speaks: a name of `canser.protocols()` or an accepted spelling.
+        The protocol of the adapter: a name of `canser.protocols()` or an accepted spelling.
     bitrate : int, optional
-        Of the CAN bus in bit/s. The adapter is configured to it when it is opened, and again
-        when it comes back. Adapters that know a status request are asked for their status until
-        they answer: they need some time before they listen. Only `Port.send` and
-        `Port.request_status` wait for that, and a CanserWarning tells where no answer comes.
+        Bit rate of the CAN bus, in bit/s. The adapter is configured to it when the port is
+        opened, and again when the device comes back.
     config : AdapterConfig, optional
-        The whole configuration of the adapter, instead of `bitrate`. Without both of them the
-        adapter is left as it is.
+        The whole configuration of the adapter, instead of `bitrate`. Without `bitrate` and
+        `config` the adapter is left as it is.
     line : LineConfig, optional
-        The serial line; by default `LineConfig()`.
+        How the serial line is opened; by default `LineConfig()`.
     ts_unit : {"ms", "us", "ns", "s"}, default "ms"
         Unit of the device's clock, as for `Decoder`.
     device_time : bool, default False
-        Whether frames keep the times of the device's clock, unwrapped, in nanoseconds, and get
-        no host times.
+        Whether frames keep the times of the device's clock, unwrapped, in nanoseconds. Otherwise
+        frames get host times, see `Port`.
     reconnect : bool, default False
-        Whether to wait for a device that is gone, and to go on. The gap is reported.
+        Whether the port waits for a device that is gone, and goes on when it is back. The gap is
+        reported by `Port.take_gaps`. Otherwise the stream ends with PortGoneError.
     on_bytes : callable, optional
-        Is given all bytes as they came, before their frames are returned:
-        `on_bytes(data, arrival_ns, lost)`. `data` is a memoryview, good until the call returns;
-        `arrival_ns` is in epoch nanoseconds; `lost` bytes are missing before it, -1 if their
-        number is unknown.
+        `on_bytes(data, arrival_ns, lost)` is called with all bytes as they came, before their
+        frames are returned. `data` is a memoryview, valid until the call returns. `arrival_ns` is
+        when its bytes had arrived, in epoch nanoseconds. `lost` is the number of bytes that are
+        missing before `data`, -1 if that number is unknown. At the end of the stream `data` may
+        be empty: then the last bytes are missing.
 
     Returns
     -------
@@ -129,13 +129,27 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
     ------
     TypeError, ValueError
         For an argument that is wrong.
-    PortNotFoundError, PortDeniedError, PortBusyError, PortError
-        For a port that cannot be opened.
+    PortNotFoundError
+        If there is no such port, or no server answers.
+    PortDeniedError
+        If this user may not open the port.
+    PortBusyError
+        If the port is open in another program.
+    PortError
+        If the port cannot be opened for another reason. The three errors above are PortErrors, too.
+
+    Notes
+    -----
+    An adapter may need some time until it listens. Where the protocol has a status request, a
+    configured adapter is asked for its status until it answers. Only `Port.send` and
+    `Port.request_status` wait for the answer. If none comes there is a `CanserWarning`.
 
     Examples
     --------
+    `loop://` is a line that returns each byte that is sent:
+
     >>> with canser.open("loop://", "seeed") as port:
-    ...     port.send(canser.decode(bytes.fromhex("aac12301ff55"), "seeed"))
+    ...     port.send("123#DEADBEEF")
     ...     port.read_batch()["id"]
     1
     array([291], dtype=uint32)
@@ -166,11 +180,41 @@ def open(  # noqa: A001 - the name that the interface has, used as canser.open
 class Port(Uncopied):
     """A live port, made by `open`; a context manager.
 
-    A thread drains the line into a ring of raw bytes. The thread that reads the port decodes them,
-    straight into the array that is returned. Several threads may read: each frame goes to one of
-    them. Frames have host times, epoch nanoseconds of a clock that does not step: by the device
-    clock where the protocol has one, else when the last byte came. (Opened with
-    `device_time` they have the times of the device's own clock.)
+    Attributes
+    ----------
+    url : str
+        The URL of the port, as it was given to `open`.
+    protocol : str
+        The protocol's name, one of `canser.protocols()`.
+    baudrate : int
+        Of the serial line, in bit/s.
+    bitrate : int or None
+        Of the CAN bus, in bit/s; None if the adapter was not configured.
+    decoder : Decoder
+        The decoder of the port's bytes.
+
+    Notes
+    -----
+    A thread reads the line into a ring of raw bytes. The thread that calls `read_batch` decodes
+    these bytes, straight into the array that is returned. Several threads may read: each frame
+    goes to one of them.
+
+    The times of frames are epoch nanoseconds of a clock that does not step. Where the protocol
+    has a clock, a frame's time follows from the device's clock; else it is when the last byte of
+    the frame came. With `device_time` the times are those of the device's own clock.
+
+    A port must be opened in the process that uses it. After a fork the port of the parent raises
+    `PortError` in the child.
+
+    Examples
+    --------
+    >>> with canser.open("loop://", "seeed") as port:
+    ...     count = port.send(canser.frames("123#DEADBEEF", "124#"))
+    ...     frames = port.read_batch(min_frames=2)
+    >>> frames["id"].tolist()
+    [291, 292]
+    >>> port.stats.frames, port.stats.bytes_skipped
+    (2, 0)
     """
 
     def __init__(
@@ -205,8 +249,8 @@ class Port(Uncopied):
             ) from None
         self._pacer = Pacer()
         self._reading = threading.RLock()
-        self._held = False  # what `hold_ready` was told
-        # Nothing in the thread may hold the port: it would never be collected.
+        self._held = False  # the argument of the last `hold_ready`
+        # Nothing in the thread may refer to the port: otherwise the port would never be collected.
         self._reader = LineReader(
             url,
             _Connect(url, line, self._setup),
@@ -220,8 +264,7 @@ class Port(Uncopied):
         )
         self._watchdog: Watchdog | None = None
         if line.ping is not None:
-            # Of the reader alone: the stream must not hold the port.
-            reader = self._reader
+            reader = self._reader  # alone: the stream must not refer to the port
             self._watchdog = Watchdog(line.ping, self._clock, lambda: reader.last_heartbeat)
         self._stream = self._make_stream(
             self._ring, decoder, device_time=device_time, on_bytes=on_bytes
@@ -241,7 +284,7 @@ class Port(Uncopied):
     def __del__(self) -> None:
         if not getattr(self, "_closed", True) and self._pid == os.getpid():
             warnings.warn(f"unclosed {self!r}", ResourceWarning, stacklevel=2, source=self)
-            # At the end of the program its thread has ended already, wherever it was.
+            # At the end of the program the thread is stopped already, and cannot be joined.
             if not sys.is_finalizing():
                 self.close()
 
@@ -257,15 +300,45 @@ class Port(Uncopied):
     ) -> FrameArray:
         """Return the next frames.
 
-        Waits until `min_frames` are there, at most `timeout` seconds (None: for ever; 0: not
-        at all), and returns what there is: `out[:n]` where `out` is given, an array of
-        FRAME_DTYPE, contiguous; else a new array of at most `max_frames`. After the
-        time-out n may be 0.
+        Parameters
+        ----------
+        out : FrameArray, shape (cap,), optional
+            The array that gets the frames, contiguous and writeable. Without it a new one is made.
+        max_frames : int, default 4096
+            The most frames of a new array, 1 or more. Does not matter with `out`.
+        min_frames : int, default 1
+            The call waits until this many frames are there; 0 to `max_frames`, or to the length
+            of `out`.
+        timeout : float or None, seconds
+            The longest wait: None waits for ever, 0 not at all.
 
-        PortGoneError when the device is gone, after all frames that came before;
-        PortClosedError when the port is or gets closed. Errors of `out` as for
-        `Decoder.feed_into`. After another exception, of `on_bytes` or Ctrl-C, the next call
-        returns what this one had.
+        Returns
+        -------
+        FrameArray, shape (n,)
+            `out[:n]` if `out` is given, else a new array. After the time-out these are the frames
+            that have come, and n may be 0.
+
+        Raises
+        ------
+        PortGoneError
+            When the device is gone, after all frames that came before are returned.
+        PortClosedError
+            When the port is closed, also during the wait.
+        TypeError, ValueError, BufferError
+            For an argument that is wrong; for `out` as in `Decoder.feed_into`.
+
+        Notes
+        -----
+        No exception loses a frame. After one of `on_bytes`, or Ctrl-C, the next call returns the
+        frames that this call had.
+
+        Examples
+        --------
+        >>> out = np.empty(4096, canser.FRAME_DTYPE)
+        >>> with canser.open("loop://", "seeed") as port:
+        ...     count = port.send(canser.frames("123#DEADBEEF", "124#"))
+        ...     port.read_batch(out, min_frames=2, timeout=1.0)["dlc"].tolist()
+        [4, 0]
         """
         self._check_open()
         if out is None:
@@ -290,11 +363,41 @@ class Port(Uncopied):
     def batches(
         self, *, max_frames: int = 4096, timeout: float = 0.05, out: FrameArray | None = None
     ) -> Iterator[FrameArray]:
-        """Yield batches as they come, until the port is closed.
+        """Yield batches of frames as they come, until the port is closed.
 
-        Each is gathered until it has `max_frames` (or fills `out`) or `timeout` seconds have
-        passed, and has at least one frame. `out` is filled again and again. PortGoneError
-        as in `read_batch`.
+        A batch is gathered until it is full, or until `timeout` seconds have passed. Batches
+        without a frame are not yielded.
+
+        Parameters
+        ----------
+        max_frames : int, default 4096
+            The most frames of a batch, 1 or more. Does not matter with `out`.
+        timeout : float, default 0.05, seconds
+            How long a batch is gathered at most.
+        out : FrameArray, shape (cap,), optional
+            The array that gets each batch, contiguous and writeable. The next batch overwrites
+            it. Without `out` each batch is a new array.
+
+        Yields
+        ------
+        FrameArray, shape (n,)
+            The next frames, one or more; `out[:n]` if `out` is given.
+
+        Raises
+        ------
+        PortGoneError
+            When the device is gone, after all frames that came before are yielded.
+        TypeError, ValueError, BufferError
+            For an argument that is wrong, as in `read_batch`.
+
+        Examples
+        --------
+        >>> with canser.open("loop://", "seeed") as port:
+        ...     count = port.send(canser.frames("123#DEADBEEF", "124#"))
+        ...     for batch in port.batches(timeout=0.01):
+        ...         port.close()
+        >>> batch["id"].tolist()
+        [291, 292]
         """
         least = max_frames if out is None else len(out)
         while True:
@@ -312,7 +415,39 @@ class Port(Uncopied):
     ) -> AsyncIterator[FrameArray]:
         """Yield batches as `batches` does, without blocking the event loop.
 
-        A task that is cancelled here loses no frame.
+        Parameters
+        ----------
+        max_frames : int, default 4096
+            The most frames of a batch, 1 or more.
+        timeout : float, default 0.05, seconds
+            How long a batch is gathered at most.
+
+        Yields
+        ------
+        FrameArray, shape (n,)
+            The next frames, one or more, as a new array.
+
+        Raises
+        ------
+        PortGoneError
+            When the device is gone, after all frames that came before are yielded.
+        TypeError, ValueError
+            For an argument that is wrong.
+
+        Notes
+        -----
+        A task that is cancelled here loses no frame: the next read returns them.
+
+        Examples
+        --------
+        >>> import asyncio
+        >>> async def first_batch():
+        ...     with canser.open("loop://", "seeed") as port:
+        ...         port.send("123#DEADBEEF")
+        ...         async for batch in port.batches_async(timeout=0.01):
+        ...             return batch
+        >>> asyncio.run(first_batch())["id"].tolist()
+        [291]
         """
         import asyncio  # noqa: PLC0415 - imported where it is used: it takes 30 ms
 
@@ -320,7 +455,7 @@ class Port(Uncopied):
         pause = check_timeout(timeout)
         loop, came = asyncio.get_running_loop(), asyncio.Event()
 
-        def tell() -> None:
+        def set_came() -> None:  # by any thread
             if not loop.is_closed():
                 loop.call_soon_threadsafe(came.set)
 
@@ -328,7 +463,7 @@ class Port(Uncopied):
             while True:
                 came.clear()
                 wanted = max_frames * self._frame_min
-                self._ring.listen(wanted, tell)
+                self._ring.listen(wanted, set_came)
                 with contextlib.suppress(TimeoutError):
                     await asyncio.wait_for(came.wait(), pause)
                 try:
@@ -343,7 +478,30 @@ class Port(Uncopied):
     def fileno(self) -> int:
         """Return a descriptor that is readable while bytes wait, or the port is gone.
 
-        For select(), poll() and event loops; not to be read. POSIX only.
+        Returns
+        -------
+        int
+            A descriptor for select(), poll() and event loops. Do not read from it.
+
+        Raises
+        ------
+        PortClosedError
+            When the port is closed.
+        PortError
+            If the system has no descriptor left.
+
+        Notes
+        -----
+        POSIX only.
+
+        Examples
+        --------
+        >>> import select
+        >>> with canser.open("loop://", "seeed") as port:
+        ...     count = port.send("123#DEADBEEF")
+        ...     readable, _, _ = select.select([port], [], [], 1.0)
+        ...     readable == [port]
+        True
         """
         self._check_open()
         try:
@@ -352,7 +510,14 @@ class Port(Uncopied):
             raise PortError(f"{self.url}: {error.strerror or error}") from None
 
     def hold_ready(self, held: bool) -> None:
-        """Keep that descriptor readable, for a caller who has frames left to hand on."""
+        """Keep the descriptor of `fileno` readable, though the port has no bytes left.
+
+        Parameters
+        ----------
+        held : bool
+            Whether the caller itself holds frames that it has read and not handed on. Otherwise
+            a select() would wait while these frames are there.
+        """
         self._held = held
         self._hold_signal()
 
@@ -360,51 +525,79 @@ class Port(Uncopied):
         self._ring.hold_ready(self._held or self._stream.ready > 0)
 
     def take_controls(self) -> list[Control]:
-        """Return the control packets since the last call, oldest first: offset and bytes.
+        """Return the control packets since the last call, oldest first.
 
-        `adapters.report` tells what they say. The newest 65,536 are kept. Answers to the requests
-        that follow a configuration are not among them; `stats` counts them.
+        Returns
+        -------
+        list of Control
+            Offset in the stream and bytes of each packet. `adapters.report` says what a packet
+            means.
+
+        Notes
+        -----
+        Of the packets that are not taken the newest 65,536 are kept. Answers to the status
+        requests that follow a configuration are not among them; `stats` counts them, too.
+
+        Examples
+        --------
+        >>> with canser.open("loop://", "seeed") as port:
+        ...     port.take_controls()
+        []
         """
-        return _empty(self._stream.controls)
+        return _take_all(self._stream.controls)
 
     def take_gaps(self) -> list[Gap]:
-        """Return the places since the last call where bytes are missing, oldest first."""
-        return _empty(self._stream.gaps)
+        """Return the gaps since the last call, oldest first: places where bytes are missing.
+
+        Returns
+        -------
+        list of Gap
+            Offset, number of missing bytes, time and reason of each gap. Of the gaps that are not
+            taken the newest 65,536 are kept.
+
+        Examples
+        --------
+        >>> with canser.open("loop://", "seeed") as port:
+        ...     port.take_gaps()
+        []
+        """
+        return _take_all(self._stream.gaps)
 
     @property
     def stats(self) -> Stats:
-        """The decoder's counters, of the bytes that were read so far."""
+        """The decoder's counters, of the bytes that were read so far: `Stats`."""
         return self.decoder.stats
 
     @property
     def bytes_lost(self) -> int:
-        """Bytes that came while the ring was full, and were thrown away."""
+        """Bytes that came while the ring was full, and were thrown away: an int."""
         return self._ring.lost
 
     @property
     def ring_fill(self) -> float:
-        """How full the ring is, 0 to 1."""
+        """How full the ring of raw bytes is: a float, 0 to 1."""
         return self._ring.fill
 
     @property
     def clock(self) -> ClockEstimate | None:
-        """Offset and drift of the device clock; None where there is none, or nothing is known.
+        """Offset and drift of the device's clock: `ClockEstimate`, or None.
 
-        With `device_time` nothing is.
+        None if the protocol has no clock, while nothing is known of the clock, and with
+        `device_time`.
         """
         return self._stream.loop.clock.estimate
 
     @property
     def status(self) -> AdapterReport | None:
-        """The last status that came from the adapter, None before the first.
+        """The last status that the adapter sent: `AdapterReport`; None before the first one.
 
-        Answers to the requests that follow a configuration do not count.
+        Answers to the status requests that follow a configuration do not count.
         """
         return self._stream.status
 
     @property
     def closed(self) -> bool:
-        """Whether `close` was called."""
+        """Whether `close` was called: a bool."""
         return self._closed
 
     # Recording
@@ -420,49 +613,53 @@ class Port(Uncopied):
 
         Parameters
         ----------
-        path : str or path
-            A name that ends in `.pcapng`.
+        path : str or path-like
+            The file to record into; its name ends in `.pcapng`.
         on_event : callable, optional
-            Is called with each `RecorderEvent`, by that thread; while it runs, nothing is
-            recorded. It may close the recorder and the port, but must not wait for a thread
-            that does. What it raises is a `CanserWarning`, and the recording goes on. Without
-            it warnings are those of Python.
+            `on_event(event)` is called with each `RecorderEvent`, by the recorder's thread.
+            Nothing is recorded while it runs. It may close the recorder and the port, but must
+            not wait for a thread that closes them. An exception that it raises becomes a
+            `CanserWarning`, and the recording goes on. Without `on_event` Python's warnings
+            report what is wrong.
         **options
-            `size`, `time`, `keep`, `triggers`, `before`, `after` and `force`, as for
-            `RecordConfig`.
+            The fields of `RecordConfig`: `size`, `time`, `keep`, `triggers`, `before`, `after`
+            and `force`.
 
         Returns
         -------
         Recorder
-            A context manager. The recording ends with it, and with the port.
+            The running recording, a context manager. It ends with its `close`, or with the port.
 
         Raises
         ------
         TypeError, ValueError
             For an argument that is wrong.
-        OutputExistsError, FileNotFoundError, PermissionError
-            For a path that will not do.
+        OutputExistsError
+            If the file is there already, without `force`.
+        FileNotFoundError, PermissionError
+            If the folder is missing, or must not be written to.
         OSError
-            For a file that cannot be made.
+            If the file cannot be made.
         PortClosedError, PortGoneError
             When the port is closed, or the device is gone.
 
         Examples
         --------
-        >>> with canser.open("/dev/ttyUSB0", "seeed") as port:  # doctest: +SKIP
-        ...     with port.record("run.pcapng", size="100M", keep=20) as recorder:
-        ...         for batch in port.batches():
-        ...             print(len(batch), recorder.status.bytes_recorded)
+        >>> with canser.open("loop://", "seeed") as port:
+        ...     recorder = port.record("run.pcapng")  # until the port is closed
+        ...     count = port.send(canser.frames("123#DEADBEEF", "124#"))
+        ...     frames = port.read_batch(min_frames=2)
+        >>> canser.read("run.pcapng")["id"].tolist()
+        [291, 292]
         """
         self._check_open()
         config, on_event = RecordConfig(**options), callback(on_event, "on_event", "an event")
         info = RecordingInfo(self.protocol, self.baudrate, self.bitrate, self._ts_unit, self.url)
         files = config.make_files(path, info)
         ring = Ring(self._ring_size)
-        # A decoder of its own: it tells where packets end, and finds triggers.
+        # A decoder of the recording's own: it finds the ends of packets, and triggers.
         stream = self._make_stream(ring, Decoder(self.protocol, ts_unit=self._ts_unit))
-
-        clock, bitrate = self._clock, self.bitrate
+        clock, bitrate = self._clock, self.bitrate  # no reference to the port
 
         def make_job(tell: OnEvent) -> RecordingJob:
             return RecordingJob(stream, files, config, clock, bitrate=bitrate, tell=tell)
@@ -477,20 +674,56 @@ class Port(Uncopied):
     # Writing
 
     def send(self, frames: FrameItems, *, timeout: float | None = None, pace: bool = True) -> int:
-        """Send frames, as fast as the line and the bus take them; return how many, all of them.
+        """Send frames, as fast as the line and the bus take them; return how many.
 
-        `frames`: an array of FRAME_DTYPE, shape (n,), contiguous; or what `canser.frames` makes
-        one of, such as "123#DEADBEEF". A time that is not known goes out as the time since the
-        port was opened. Waits until an adapter that was configured listens; for that alone give
-        no frames, []. Returns when the system has taken the last byte. `timeout`: seconds for the
-        whole. `pace`: where the bit rate of the bus is known, at most 16 frames go out that the
-        bus cannot have sent yet, each taken to be as long as stuff bits can make it. An adapter
-        throws away what it has no room for. `pace=False` sends as fast as the line takes frames.
+        Returns when the system has taken the last byte.
 
-        ValueError for a frame that the format cannot carry: nothing is sent then.
-        SendTimeoutError when the adapter does not listen, or the line or the bus takes no more
-        in time, SendError when the line is gone: `sent` tells how many frames went out. One that
-        is cut by the time-out counts as sent: its rest goes out before anything else.
+        Parameters
+        ----------
+        frames : FrameArray, shape (n,), or what `canser.frames` takes
+            The frames, such as "123#DEADBEEF"; an array must be contiguous. Without a frame, [],
+            the call only waits until the adapter listens. A time that is not known goes out as
+            the time since the port was opened.
+        timeout : float or None, seconds
+            The longest time for the whole call; None waits for ever.
+        pace : bool, default True
+            Whether frames go out no faster than the bus sends them, see Notes. False sends as
+            fast as the line takes them.
+
+        Returns
+        -------
+        int
+            The number of frames, n. All of them are sent.
+
+        Raises
+        ------
+        TypeError, ValueError
+            For an argument that is wrong, or a frame that the protocol cannot carry. Nothing is
+            sent then.
+        SendTimeoutError
+            If the adapter does not listen in time, or the line or the bus takes no more. `sent`
+            is the number of frames that went out. A frame that the time-out cuts counts as sent:
+            its rest goes out before anything else.
+        SendError
+            When the line is gone; `sent` as above.
+        PortClosedError
+            When the port is closed.
+
+        Notes
+        -----
+        An adapter throws away frames for which it has no room. So `pace` keeps at most 16 frames
+        on their way that the bus cannot have sent yet. Each is taken to be as long as stuff bits
+        can make it. The bit rate of the bus must be known for that: see `bitrate` of `open`.
+
+        If the adapter was configured, the call waits until the adapter listens.
+
+        Examples
+        --------
+        >>> with canser.open("loop://", "seeed") as port:
+        ...     port.send("123#DEADBEEF")
+        ...     port.send(canser.frames("124#", "18FEF100#01"), timeout=1.0)
+        1
+        2
         """
         self._check_open()
         deadline, pace = _deadline(timeout), flag(pace, "pace")
@@ -510,15 +743,39 @@ class Port(Uncopied):
             written, why = self._write_frames(frames, raw, deadline, pace=pace)
         if not why:
             return len(frames)
-        whole = int(np.searchsorted(self._ends(raw), written, side="right"))
+        sent = int(np.searchsorted(self._ends(raw), written, side="right"))
         kind = SendTimeoutError if why in (NO_MORE, _DEAF, _BUSY) else SendError
-        raise kind(f"{self.url}: {why}; {whole} of {len(frames)} frames were sent", whole, why)
+        raise kind(f"{self.url}: {why}; {sent} of {len(frames)} frames were sent", sent, why)
 
     def send_raw(self, data: BytesLike, *, timeout: float | None = None) -> None:
         """Send bytes as they are, such as a command that canser does not know.
 
-        Does not wait until an adapter listens. SendError (SendTimeoutError), whose `sent` is 0,
-        when not all could be sent.
+        Does not wait until the adapter listens.
+
+        Parameters
+        ----------
+        data : bytes-like
+            The bytes.
+        timeout : float or None, seconds
+            The longest time for the call; None waits for ever.
+
+        Raises
+        ------
+        SendTimeoutError
+            If the line did not take all bytes in time; its `sent` is 0.
+        SendError
+            If the line is gone; its `sent` is 0.
+        PortClosedError
+            When the port is closed.
+        TypeError, ValueError, BufferError
+            For an argument that is wrong.
+
+        Examples
+        --------
+        >>> with canser.open("loop://", "seeed") as port:
+        ...     port.send_raw(bytes.fromhex("aac12301ff55"))
+        ...     port.read_batch()["id"].tolist()
+        [291]
         """
         self._check_open()
         timeout = check_timeout(timeout)
@@ -529,14 +786,36 @@ class Port(Uncopied):
             raise kind(f"{self.url}: {why}; {written} of {len(raw)} bytes were sent", 0, why)
 
     def drain(self, *, timeout: float | None = None) -> bool:
-        """Wait until the line has sent all that was written; False after `timeout` seconds.
+        """Wait until the line has sent all bytes that were written.
 
-        PortGoneError when the device is gone.
+        Parameters
+        ----------
+        timeout : float or None, seconds
+            The longest wait; None waits for ever.
+
+        Returns
+        -------
+        bool
+            Whether all bytes are sent; False after the time-out.
+
+        Raises
+        ------
+        PortGoneError
+            When the device is gone.
+        PortClosedError
+            When the port is closed.
+
+        Examples
+        --------
+        >>> with canser.open("loop://", "seeed") as port:
+        ...     count = port.send("123#DEADBEEF")
+        ...     port.drain(timeout=1.0)
+        True
         """
         self._check_open()
         timeout = check_timeout(timeout)
         deadline = _deadline(timeout)
-        # What is left of a frame that a time-out of `send` has cut.
+        # Writes the rest of a frame that a time-out of `send` has cut.
         _, why = self._reader.write(b"", timeout, _missing_nothing)
         while True:
             self._check_open()
@@ -547,15 +826,16 @@ class Port(Uncopied):
                 return True
             if deadline is not None and time.monotonic() >= deadline:
                 return False
-            # As long as the line needs for it, but for not longer than one notices.
+            # As long as the line needs for these bytes, within limits: a shorter sleep would take
+            # processor time, and a longer one would delay `close` and the time-out.
             time.sleep(min(max(held * _BYTE_BITS / self.baudrate, 0.0005), 0.02))
 
     @property
     def bytes_unsent(self) -> int:
-        """Bytes that were written and that the system holds, as far as it tells.
+        """Bytes that were written and that the system still holds: an int.
 
-        A pseudo terminal and `rfc2217://` tell nothing, and so this is 0 there. PortGoneError
-        when the device is gone.
+        0 for pseudo terminals and `rfc2217://`, where the number is not known. Raises
+        `PortGoneError` when the device is gone.
         """
         self._check_open()
         return self._reader.unwritten()
@@ -565,15 +845,16 @@ class Port(Uncopied):
     def configure(self, config: AdapterConfig | None = None, *, bitrate: int | None = None) -> None:
         """Configure the adapter, as `canser.open` does.
 
-        Returns when the configuration is written. Adapters that know a status request are then
-        asked for their status until they answer, for which `send` waits.
+        Returns when the configuration is written. Where the protocol has a status request the
+        adapter is then asked for its status until it answers; `send` waits for the answer.
 
         Parameters
         ----------
         config : AdapterConfig, optional
             How the adapter is to work.
         bitrate : int, optional
-            Of the CAN bus in bit/s, instead of `config`; all else is as in `AdapterConfig`.
+            Bit rate of the CAN bus in bit/s, instead of `config`. All else has the defaults of
+            `AdapterConfig`.
 
         Raises
         ------
@@ -583,12 +864,21 @@ class Port(Uncopied):
             Without `config` and `bitrate`, with both, or as `adapters.configuration`.
         SendError
             If the line does not take the configuration.
+        PortClosedError
+            When the port is closed.
+
+        Examples
+        --------
+        >>> with canser.open("loop://", "seeed") as port:
+        ...     port.configure(bitrate=500_000)
+        ...     port.bitrate
+        500000
         """
         config = adapter_config(bitrate, config)
         if config is None:
             raise ValueError("bitrate is missing; give bitrate or config")
         before = self._setup.config_packet
-        # Set first: otherwise the reader's thread could write the one before behind it.
+        # Set before it is sent: otherwise the reader's thread could write the old one after it.
         self._setup.config_packet = adapters.configuration(self.protocol, config)
         try:
             self.send_raw(self._setup.config_packet)
@@ -605,9 +895,36 @@ class Port(Uncopied):
     def request_status(self, *, timeout: float | None = 1.0) -> AdapterReport:
         """Ask the adapter for its status, and return the answer.
 
-        Waits until an adapter that was configured listens. Frames that come meanwhile are
-        returned by the next reads. ValueError where the protocol knows no status; PortError when
-        no answer comes.
+        If the adapter was configured, the call waits until the adapter listens. Frames that come
+        meanwhile are returned by the next reads.
+
+        Parameters
+        ----------
+        timeout : float or None, default 1.0, seconds
+            The longest wait for the answer; None waits for ever.
+
+        Returns
+        -------
+        AdapterReport
+            The status, with the adapter's error counters.
+
+        Raises
+        ------
+        ValueError
+            If the protocol has no status request.
+        PortError
+            If no answer comes in time.
+        PortClosedError
+            When the port is closed.
+
+        Examples
+        --------
+        `loop://` returns the request, which reads as a status without errors:
+
+        >>> with canser.open("loop://", "seeed") as port:
+        ...     status = port.request_status()
+        >>> status.receive_errors, status.transmit_errors
+        (0, 0)
         """
         request = find_protocol(self.protocol).status_request
         if not request:
@@ -628,28 +945,42 @@ class Port(Uncopied):
             self._check_open()
             if deadline is not None and time.monotonic() >= deadline:
                 raise no_answer
-            # Another thread that reads finds the answer, too.
+            # While another thread reads, that thread finds the answer.
             if self._take_turn(_sooner(deadline, _TURN_S)):
                 try:
                     ready = self._stream.ready
-                    self._stream.read(ready + _AHEAD, ready + 1, _sooner(deadline, _TURN_S))
+                    self._stream.read(ready + _AHEAD_FRAMES, ready + 1, _sooner(deadline, _TURN_S))
                 finally:
                     self._hold_signal()
                     self._reading.release()
         return status
 
     def close(self) -> None:
-        """Close the port; a read that waits in another thread ends with PortClosedError.
+        """Close the port.
 
-        Recordings of it get what had come, and end. A signal handler may close it, too.
+        A read that waits in another thread ends with `PortClosedError`. Recordings of the port
+        record what had come, and end. The port may be closed again, and by a signal handler.
+
+        Raises
+        ------
+        PortError
+            If the system cannot close the line. It counts as closed then.
+
+        Examples
+        --------
+        >>> port = canser.open("loop://", "seeed")
+        >>> port.close()
+        >>> port.closed
+        True
         """
         was_closed, self._closed = self._closed, True
         if self._pid != os.getpid():
-            return  # the parent's: its threads are not here, and its line stays open
+            return  # after a fork: the threads are the parent's, and its line stays open
         if not was_closed:
             self._reader.end(PortClosedError(f"{self.url} is closed"))
             self._reader.close()
-        # A signal handler or another thread that has closed it may not have waited for these.
+        # If a signal handler or another thread has closed the port, it may not have waited for
+        # the recorders.
         for recorder in list(self._recorders):
             recorder._end()
 
@@ -664,7 +995,7 @@ class Port(Uncopied):
         on_bytes: OnBytes | None = None,
     ) -> LiveStream:
         loop = TimedDecoder(decoder, _BYTE_BITS * 1e9 / self.baudrate, device_time=device_time)
-        # The answers to what set the adapter up are known by their places in the port's own ring.
+        # The answers to the requests of `setup` are known by their offsets in the port's own ring.
         setup = self._setup if ring is self._ring else None
         return LiveStream(
             self.url,
@@ -691,22 +1022,25 @@ class Port(Uncopied):
             left = _left(deadline)
             if left == 0:
                 return False
-            time.sleep(_LOOK_S if left is None else min(left, _LOOK_S))
+            time.sleep(_LOOK_EVERY_S if left is None else min(left, _LOOK_EVERY_S))
         return True
 
     def _take_turn(self, deadline: float | None) -> bool:
-        """Become the thread that reads; False after the deadline."""
+        """Wait until no other thread reads, and keep others from it; False after the deadline."""
         left = -1.0 if deadline is None else max(deadline - time.monotonic(), 0)
         return self._reading.acquire(timeout=left)
 
     def _write_frames(
         self, frames: FrameArray, raw: bytes, deadline: float | None, *, pace: bool
     ) -> tuple[int, str]:
-        """Write encoded frames; return how many bytes went out or will, and why not all did."""
+        """Write encoded frames; return how many bytes went out or will, and why not all did.
+
+        `frames`: the frames that are encoded in `raw`.
+        """
         written, sent, why = 0, 0, ""
         if not pace or self.bitrate is None or not len(frames):
             return self._reader.write(raw, _left(deadline), self._missing)
-        ends = None  # where all frames may go out at once, as is mostly so, they are not needed
+        ends = None  # not needed if all frames may go out at once, which is the usual case
         while sent < len(frames) and not why:
             bits = longest_bits(frames[sent : sent + AHEAD_FRAMES])
             count = self._pacer.take([each / self.bitrate for each in bits], deadline)
@@ -721,12 +1055,12 @@ class Port(Uncopied):
         return written, why
 
     def _missing(self, part: bytes, sent: int) -> int:
-        """Return how many bytes are missing of the packet in `part` that is cut there."""
+        """Return how many bytes the packet lacks that is cut behind `sent` bytes of `part`."""
         ends = self._ends(part)
         return int(ends[np.searchsorted(ends, sent)]) - sent
 
     def _ends(self, raw: bytes) -> npt.NDArray[np.int64]:
-        """Return where each of the packets ends that `encode` gave."""
+        """Return the offset behind each packet in the output of `encode`."""
         starts = np.empty(len(raw) // self._frame_min + 1, np.int64)
         count = len(decode(raw, self.protocol, ts_unit=self._ts_unit, offsets=starts))
         return np.append(starts[1:count], len(raw))
@@ -740,7 +1074,7 @@ class _Connect:
 
     def __call__(self) -> Line:
         line = open_line(self._url, self._line)
-        packet = self._setup.config_packet  # another thread may set the next one
+        packet = self._setup.config_packet  # read once: another thread may replace it
         rest = memoryview(packet)
         try:
             while rest:
@@ -760,12 +1094,12 @@ class _Connect:
 
 
 def _deadline(timeout: float | None) -> float | None:
-    """Return when a time-out is over, by time.monotonic(); None for never."""
+    """Return the deadline of a time-out in seconds, by time.monotonic(); None for never."""
     seconds = check_timeout(timeout)
     return None if seconds is None else time.monotonic() + seconds
 
 
-def _missing_nothing(data: bytes, sent: int) -> int:  # noqa: ARG001 - of bytes that are no packets
+def _missing_nothing(data: bytes, sent: int) -> int:  # noqa: ARG001 - raw bytes have no packets
     return 0
 
 
@@ -775,13 +1109,13 @@ def _left(deadline: float | None) -> float | None:
 
 
 def _sooner(deadline: float | None, seconds: float) -> float:
-    """Return the deadline, or the time in this many seconds, whichever is sooner."""
+    """Return the deadline or the time in `seconds`, whichever is sooner."""
     soon = time.monotonic() + seconds
     return soon if deadline is None else min(deadline, soon)
 
 
-def _empty(items: deque[_T]) -> list[_T]:
-    """Take all there is, while another thread may add to it."""
+def _take_all(items: deque[_T]) -> list[_T]:
+    """Remove all items and return them; another thread may add more meanwhile."""
     taken = []
     with contextlib.suppress(IndexError):
         while True:
@@ -790,18 +1124,30 @@ def _empty(items: deque[_T]) -> list[_T]:
 
 
 class PortInfo(NamedTuple):
-    """A serial port of this machine."""
+    """A serial port of this machine, returned by `list_ports`."""
 
-    #: What `open` takes.
+    #: The URL for `open`, such as "/dev/ttyUSB0" or "COM3".
     url: str
-    #: Of the device, as it calls itself; "" where it does not.
+    #: The device's own name; "" if it has none.
     name: str
-    #: USB ids and serial number, or what else the system knows; "" for nothing.
+    #: USB ids and serial number, or what else the system knows of the device; "" for nothing.
     hardware: str
 
 
 def list_ports() -> list[PortInfo]:
-    """Return the serial ports that are plugged in, by name."""
+    """Return the serial ports that are plugged in.
+
+    Returns
+    -------
+    list of PortInfo
+        URL, name and hardware of each port, in the order of their URLs.
+
+    Examples
+    --------
+    >>> for port in canser.list_ports():
+    ...     print(port.url, port.name)  # doctest: +SKIP
+    /dev/ttyUSB0 USB Serial
+    """
     from serial.tools.list_ports import comports  # noqa: PLC0415 - imported where it is used
 
     return [
