@@ -1,4 +1,4 @@
-"""What is asked of a port, as value objects."""
+"""The options of a port, as value objects."""
 
 import math
 from collections.abc import Mapping
@@ -11,11 +11,11 @@ from canser.adapters import AdapterConfig
 
 __all__ = ["LEVELS", "LineConfig", "PortOptions", "adapter_config", "flat_config"]
 
-# What a modem line may be at opening.
+# How a modem line may be set when a port is opened.
 LEVELS: Final = ("leave", "on", "off")
 
-# A terminal gives up to 4 KiB a read, and the reader of the line asks for 64 KiB at once. A
-# smaller ring would lose bytes of any reader.
+# Bytes. The thread that reads the line takes up to 64 KiB at once. A smaller ring would lose bytes
+# however fast the program reads.
 _RING_SIZE_LEAST: Final = 1 << 16
 
 
@@ -23,22 +23,7 @@ _RING_SIZE_LEAST: Final = 1 << 16
 class LineConfig:
     """How the serial line between host and adapter is opened and kept.
 
-    Attributes
-    ----------
-    baudrate : int, optional
-        Of the line, in bit/s; None: the rate that adapters of the protocol come with.
-    dtr, rts : str, default "leave"
-        What the modem lines DTR and RTS are at opening: "leave", as the system sets them, which
-        is on; "on"; "off". Some boards reset, or do not send, by the level of these lines. They
-        are set before the port is opened; Linux itself still switches them on for some
-        milliseconds then. Pseudo terminals and `socket://` have none.
-    flush : bool, default False
-        Whether bytes that wait in the system at opening are thrown away.
-    ring_size : int, default 8388608
-        Bytes that are kept for a slow reader, 65536 or more. At 2 Mbaud the default lasts 40 s.
-    ping : float, optional
-        Seconds between the pings of the watchdog, for protocols that know a ping; None: no
-        watchdog.
+    All fields are keywords with a default, and are checked when the object is made.
 
     Raises
     ------
@@ -47,21 +32,38 @@ class LineConfig:
     ValueError
         For an unknown name, or a number out of range.
 
+    Notes
+    -----
+    Some boards reset, or do not send, by the levels of DTR and RTS. These modem lines are set
+    before the port is opened; Linux itself still switches them on for some milliseconds then.
+    Pseudo terminals and `socket://` have no modem lines.
+
     Examples
     --------
-    >>> canser.LineConfig(baudrate=115_200).baudrate
+    >>> line = canser.LineConfig(baudrate=115_200, rts="off")
+    >>> with canser.open("loop://", "seeed", line=line) as port:
+    ...     port.baudrate
     115200
     """
 
+    #: Of the line, in bit/s. None: the rate that adapters of the protocol come with.
     baudrate: int | None = None
+    #: Level of the modem line DTR at opening: "on", "off", or "leave", as the system sets it,
+    #: which is on.
     dtr: str = "leave"
+    #: Level of the modem line RTS at opening, as `dtr`.
     rts: str = "leave"
+    #: Whether bytes that wait in the system at opening are thrown away.
     flush: bool = False
+    #: Bytes that are kept for a slow reader, 65,536 or more. The default, 8 MiB, lasts 40 s at
+    #: 2 Mbaud.
     ring_size: int = 8 << 20
+    #: Seconds between the pings of the watchdog, more than 0, for protocols that know a ping.
+    #: None: no watchdog.
     ping: float | None = None
 
     def __post_init__(self) -> None:
-        # Plain numbers and bools, whatever kind was given.
+        # Integers and bools of numpy, for example, become Python's own.
         put = partial(object.__setattr__, self)
         if self.baudrate is not None:
             put("baudrate", whole(self.baudrate, "baudrate", "115200", least=1))
@@ -78,7 +80,7 @@ class LineConfig:
 
 
 class PortOptions(TypedDict, total=False):
-    """The keywords of `canser.open` that a recording takes, too."""
+    """The keywords of `canser.open` that `canser.record` takes, too."""
 
     bitrate: int | None
     config: AdapterConfig | None
@@ -88,7 +90,7 @@ class PortOptions(TypedDict, total=False):
 
 
 def adapter_config(bitrate: int | None, config: AdapterConfig | None) -> AdapterConfig | None:
-    """Return the configuration that a bitrate or a config asks for; None if both are None."""
+    """Return the configuration by `bitrate` or `config`; None if both are None."""
     if config is None:
         return None if bitrate is None else AdapterConfig(bitrate=bitrate)
     instance(config, "config", AdapterConfig)
@@ -100,9 +102,9 @@ def adapter_config(bitrate: int | None, config: AdapterConfig | None) -> Adapter
 
 
 def flat_config(options: Mapping[str, Any]) -> AdapterConfig | None:
-    """Return the configuration whose fields are given as flat options, None for no option.
+    """Return the configuration with these fields, None for no field.
 
-    A bitrate of None counts as not given.
+    `options`: keywords of a function or of the command line. A bitrate of None counts as not given.
     """
     given = {name: value for name, value in options.items() if (name, value) != ("bitrate", None)}
     if not given:
