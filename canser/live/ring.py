@@ -11,37 +11,38 @@ __all__ = ["Gap", "Read", "Ring", "holds"]
 
 
 class Gap(NamedTuple):
-    """A place in a stream where bytes are missing."""
+    """A place in the stream of a port where bytes are missing, returned by `Port.take_gaps`."""
 
-    #: Stream offset of the first byte behind it.
+    #: Stream offset of the first byte behind the gap.
     offset: int
-    #: Bytes that are missing; -1: their number is unknown.
+    #: Number of bytes that are missing; -1: it is unknown.
     lost: int
-    #: When it began, in epoch nanoseconds.
+    #: When the gap began, in epoch nanoseconds.
     ts: int
-    #: "overflow", "reconnect" or "watchdog".
+    #: "overflow": the ring of raw bytes was full, as the program read too slowly. "reconnect":
+    #: the device was gone. "watchdog": the ping did not come back.
     reason: str
 
 
 class Read(NamedTuple):
     """Where the bytes of one read of the port are in the stream, and when they had arrived."""
 
-    begin: int  # stream offset of the first of them
-    end: int  # stream offset behind the last
-    ns: int  # epoch nanoseconds at which they had arrived
+    begin: int  # stream offset of the first byte
+    end: int  # stream offset behind the last byte
+    ns: int  # epoch nanoseconds at which the last byte had arrived
 
 
-# Reads that are not handed out take up to 200 bytes each, more than their bytes of the line where
-# they are tiny. Of more than this number those of the same slot of time become one, and slots get
-# twice as long, from the first length on, until half the number is left. So times are exact while
-# fewer reads wait, 16 s of 2,000 reads a second, and then they are late by a slot at most: by 0.3 s
-# after an hour.
+# A `Read` that waits takes up to 200 bytes of memory, more than the bytes of a small read. If more
+# than _READS_MOST wait, the reads of one time slot are merged. Slots of _SLOT_NS (1 ms) are tried
+# first, then twice as long ones, until half of _READS_MOST are left. So times are exact for 16 s of
+# 2,000 reads a second that wait. After that they are late by a slot at most: 0.3 s after an hour.
+# _SLOT_MOST_NS (73 minutes) ends the doubling, as reads at gaps are never merged.
 _READS_MOST: Final = 1 << 15
 _SLOT_NS: Final = 1 << 20
 _SLOT_MOST_NS: Final = 1 << 42
 
-# A ring that was full takes bytes again when so much of it is free: one long gap
-# instead of many short ones, each of which costs the frames at its edges.
+# A ring that was full takes bytes again when this share of it is free. Otherwise there would be
+# many short gaps instead of a long one, and each gap costs the frames at its edges.
 _FREE_AGAIN: Final = 1 / 16
 
 
@@ -55,9 +56,9 @@ def holds(lock: threading.Condition) -> bool:
 
 
 class Ring:
-    """Bytes that have come and are not decoded yet. One thread fills it, one empties it.
+    """Bytes that have come and are not decoded yet. One thread fills the ring, one empties it.
 
-    What comes while it is full is thrown away, counted, and marked by a `Gap`. Offsets
+    Bytes that come while the ring is full are thrown away, counted, and marked by a `Gap`. Offsets
     count the bytes that are kept, from 0.
     """
 
@@ -65,26 +66,27 @@ class Ring:
         self._bytes = memoryview(bytearray(size))
         self._size = size
         self._begin = 0  # offset of the oldest byte
-        self._end = 0  # offset behind the newest
-        self._reads: deque[Read] = deque()  # not handed out yet
-        self._slot_ns = 0  # reads of the same slot of time are one; 0: each is one by itself
-        self._gaps: deque[Gap] = deque()  # not reached yet by the thread that empties it
+        self._end = 0  # offset behind the newest byte
+        self._reads: deque[Read] = deque()  # not returned by `peek` yet
+        self._slot_ns = 0  # reads of one time slot are merged; 0: no reads are
+        self._gaps: deque[Gap] = deque()  # not taken yet
         self._full = False
         self._error: Exception | None = None
-        # Reentrant: a signal handler, or the end of a port without references, may come at any
-        # place of any thread, and close it.
+        # Reentrant: a signal handler, or the collection of a port without references, may
+        # interrupt any thread at any place, and close the ring.
         self._lock = threading.RLock()
         self._came = threading.Condition(self._lock)
         self._wanted = 1  # unread bytes at which a waiting thread is woken
         self._listener: Callable[[], None] | None = None
-        self._signal: tuple[int, int] | None = None  # a pipe that is readable while `_loud`
-        self._loud = self._held = False
+        self._signal: tuple[int, int] | None = None  # a pipe; None: not asked for
+        self._readable = False  # whether the pipe is
+        self._held = False  # the argument of the last `hold_ready`
         self.lost = 0  # bytes thrown away
 
-    # Of the thread that fills it.
+    # For the thread that fills the ring.
 
     def room(self) -> memoryview | None:
-        """Return where the next bytes may be put; None while the ring is full."""
+        """Return memory for the next bytes; None while the ring is full."""
         with self._lock:
             free = self._size - (self._end - self._begin)
             if self._full and free < self._size * _FREE_AGAIN:
@@ -96,7 +98,7 @@ class Ring:
             return self._bytes[at : at + min(free, self._size - at)]
 
     def put(self, count: int, ns: int) -> None:
-        """Take notice of bytes that were put there, and had arrived by `ns`."""
+        """Add `count` bytes that were put into `room`, and had arrived by `ns`."""
         with self._lock:
             gap = self._gaps[-1].offset if self._gaps else -1
             self._add_read(self._reads, Read(self._end, self._end + count, ns), gap)
@@ -105,10 +107,10 @@ class Ring:
                 self._merge_reads()
             self._set_signal()
             if self._end - self._begin >= self._wanted:
-                self._tell()
+                self._wake()
 
     def append(self, data: memoryview, ns: int) -> None:
-        """Put bytes that had arrived by `ns`; count those that there is no room for."""
+        """Add bytes that had arrived by `ns`; throw away and count those without room."""
         while data and (room := self.room()) is not None:
             count = min(len(data), len(room))
             room[:count] = data[:count]
@@ -118,9 +120,9 @@ class Ring:
             self.lose(len(data), ns)
 
     def _add_read(self, reads: deque[Read], read: Read, gap: int) -> None:
-        """Append a read, or make it one with the last of them; `gap`: where the last gap lies.
+        """Append a read, or merge it with the last one; `gap`: the offset of the last gap.
 
-        What is one lies in one piece of memory, without a gap inside.
+        The bytes of a merged read lie in one piece of memory, without a gap inside.
         """
         slot_ns = self._slot_ns
         if (
@@ -134,7 +136,7 @@ class Ring:
         reads.append(read)
 
     def _merge_reads(self) -> None:
-        """Have half as many reads, by longer slots of time."""
+        """Halve the number of reads, by longer time slots."""
         gaps = {gap.offset for gap in self._gaps}
         while len(self._reads) > _READS_MOST // 2 and self._slot_ns < _SLOT_MOST_NS:
             self._slot_ns = 2 * self._slot_ns or _SLOT_NS
@@ -144,7 +146,7 @@ class Ring:
             self._reads = merged
 
     def lose(self, count: int, ns: int) -> None:
-        """Count bytes that came while the ring was full."""
+        """Count bytes that came while the ring was full, and mark the gap."""
         with self._lock:
             self.lost += count
             last = self._gaps[-1] if self._gaps else None
@@ -153,44 +155,45 @@ class Ring:
             else:
                 self._gaps.append(Gap(self._end, count, ns, "overflow"))
                 self._set_signal()
-                self._tell()
+                self._wake()
 
     def interrupt(self, ns: int, reason: str) -> None:
         """Mark a gap of unknown length."""
         with self._lock:
             self._gaps.append(Gap(self._end, -1, ns, reason))
             self._set_signal()
-            self._tell()
+            self._wake()
 
     def close(self, error: Exception) -> None:
-        """End the stream: behind what is there comes nothing but `error`."""
+        """End the stream: `error` follows the bytes that are in the ring."""
         with self._lock:
             if self._error is None:
                 self._error = error
             self._set_signal()
-            self._tell()
+            self._wake()
 
-    def _tell(self) -> None:
+    def _wake(self) -> None:
+        """Wake the thread that waits, and call the listener."""
         self._came.notify_all()
         if self._listener is not None:
             listener, self._listener = self._listener, None
             listener()
 
     def _set_signal(self) -> None:
-        """Make the descriptor readable if there is anything to take, and else not."""
+        """Make the descriptor readable if there is anything to take, otherwise unreadable."""
         if self._signal is None:
             return
-        loud = self._held or self._begin < self._end or bool(self._gaps or self._error)
-        if loud and not self._loud:
+        readable = self._held or self._begin < self._end or bool(self._gaps or self._error)
+        if readable and not self._readable:
             os.write(self._signal[1], b"\0")
-        elif self._loud and not loud:
+        elif self._readable and not readable:
             os.read(self._signal[0], 1)
-        self._loud = loud
+        self._readable = readable
 
-    # Of the thread that empties it.
+    # For the thread that empties the ring.
 
     def wait(self, wanted: int, deadline: float | None) -> bool:
-        """Wait until `wanted` bytes or a gap are there, or the end; False after the deadline.
+        """Wait for `wanted` bytes, a gap, or the end of the stream; False after the deadline.
 
         `deadline`: of time.monotonic(), None for never.
         """
@@ -204,12 +207,12 @@ class Ring:
             return True
 
     def listen(self, wanted: int, listener: Callable[[], None] | None) -> None:
-        """Have `listener` called once, by any thread, when `wait` would not wait."""
+        """Call `listener` once, in any thread, as soon as `wait` would return at once."""
         with self._lock:
             self._wanted = min(wanted, self._size // 2)
             self._listener = listener
             if listener is not None and self._ready():
-                self._tell()
+                self._wake()
 
     def _ready(self) -> bool:
         return (
@@ -222,7 +225,7 @@ class Ring:
         return self._begin == self._end and not self._gaps
 
     def peek(self) -> tuple[memoryview, list[Read]]:
-        """Return bytes in one piece of memory, up to a gap, and the reads not seen before."""
+        """Return bytes in one piece of memory, up to a gap, and the reads that are new."""
         with self._lock:
             end = self._gaps[0].offset if self._gaps else self._end
             at = self._begin % self._size
@@ -235,7 +238,7 @@ class Ring:
             return self._bytes[at : at + count], reads
 
     def release_to(self, offset: int) -> None:
-        """Release the bytes before this offset: new ones may take their place."""
+        """Release the bytes before this offset: new bytes may overwrite them."""
         if offset == self._begin:
             return
         with self._lock:
@@ -244,12 +247,12 @@ class Ring:
 
     @property
     def at_gap(self) -> bool:
-        """Whether a gap lies right here."""
+        """Whether a gap lies right before the next byte."""
         with self._lock:
             return bool(self._gaps) and self._gaps[0].offset == self._begin
 
     def take_gap(self) -> Gap | None:
-        """Return the gap that lies right here, None if there is none."""
+        """Return the gap right before the next byte, None if there is none."""
         with self._lock:
             if self._gaps and self._gaps[0].offset == self._begin:
                 gap = self._gaps.popleft()
@@ -266,7 +269,7 @@ class Ring:
             return self._signal[0]
 
     def hold_ready(self, held: bool) -> None:
-        """Keep that descriptor readable, for a caller that holds frames it took."""
+        """Keep the descriptor of `fileno` readable, for a caller that still holds frames."""
         if held == self._held:
             return
         with self._lock:
@@ -275,11 +278,11 @@ class Ring:
 
     @property
     def locked_here(self) -> bool:
-        """Whether this thread is in the middle of something here, which a signal interrupted."""
+        """Whether this thread holds the lock: a signal has interrupted a method here."""
         return holds(self._came)
 
     def release(self) -> None:
-        """Close that descriptor, if there is one."""
+        """Close the descriptor of `fileno`, if there is one."""
         with self._lock:
             if self._signal is not None:
                 os.close(self._signal[0])
@@ -296,11 +299,11 @@ class Ring:
 
     @property
     def fill(self) -> float:
-        """How full it is, 0 to 1."""
+        """How full the ring is, 0 to 1."""
         return len(self) / self._size
 
     @property
     def error(self) -> Exception | None:
-        """What has ended the stream, once all before it is taken."""
+        """What has ended the stream; None until all bytes and gaps before the end are taken."""
         with self._lock:
             return self._error if self._begin == self._end and not self._gaps else None
