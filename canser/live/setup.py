@@ -19,7 +19,7 @@ __all__ = ["SILENCE_S", "Setup"]
 # the pause that the adapter's document asks for.
 _ASK_EVERY_S: Final = 0.1
 
-#: An adapter that has not answered within this time is taken to know no status request.
+#: An adapter that has not answered within this time is never asked again.
 SILENCE_S: Final = 2.0
 
 # An analyzer does not listen for this time after it was opened or plugged in (seen on hardware).
