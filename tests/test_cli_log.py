@@ -528,7 +528,7 @@ def test_force_gives_the_old_file_back_where_no_byte_came(tmp_path: Path) -> Non
     with running(tmp_path, *log("--force", "run.pcapng")) as run:
         run.wait_line("recording into")
         assert run.end(signal.SIGINT) == GOOD
-    assert f"nothing was recorded, and there is the old file again: {path}" in run.err
+    assert f"nothing was recorded; the old file has its name back: {path}" in run.err
     assert "recorded: 0 bytes in 1 file, 0 kept" in run.err
     assert path.read_text() == "old"
     assert [one.name for one in tmp_path.glob("run*")] == ["run.pcapng"]

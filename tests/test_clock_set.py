@@ -177,7 +177,7 @@ def test_a_recording_tells_of_it(system: SystemClock, tmp_path: Path) -> None:
     assert abs(events[1].step_ns - HOUR_S * 1e9) < SECOND
     assert events[1].text == (
         f"{device.url}: the host's clock was set forward by 3,600.0 s; times in the open file go "
-        "on as before, a file that begins later has the new time"
+        "on as before; a file that is opened later has the new time"
     )
     # Events have the time that the clock shows.
     assert abs(events[0].ts - time.time_ns()) < PATIENCE * SECOND

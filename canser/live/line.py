@@ -1,8 +1,8 @@
 """A serial line as bytes: opened raw and exclusive by any URL, read in place, written.
 
-pyserial opens and sets the line. Bytes are then read and written through the descriptor where
-there is one: pyserial's own `read` loses what it has when a port dies, and uses select(), which
-ends at 1023 descriptors.
+pyserial opens and sets the line. If the line has a descriptor, bytes are then read and written
+through it: pyserial's own `read` loses the bytes that it has when a port dies, and uses select(),
+which takes no descriptor above 1023.
 """
 
 import contextlib
@@ -32,7 +32,8 @@ if sys.platform != "win32":
 
 __all__ = ["Line", "open_line"]
 
-# A read of a line without a descriptor cannot be woken. It looks this often whether it must end.
+# A read of a line without a descriptor cannot be woken. It checks at this interval whether it shall
+# end.
 _LOOK_EVERY_S: Final = 0.1
 
 
@@ -40,16 +41,16 @@ class Line(Protocol):
     """An open line. One thread reads and one writes at a time."""
 
     def read_into(self, room: memoryview, timeout: float | None) -> int:
-        """Read what is there, at least one byte, into `room`; return how many.
+        """Wait for at least one byte, and read what is there into `room`; return how many bytes.
 
-        0 after `timeout` seconds (None: never) or after `wake`. PortGoneError when the
-        line is dead.
+        0 after `timeout` seconds (None: never) or after `wake`. PortGoneError when the line is
+        dead.
         """
 
     def write(self, data: memoryview, timeout: float | None, counts: list[int]) -> int:
-        """Write what fits, return how many bytes; 0 after `timeout` seconds.
+        """Write what the line takes; return how many bytes, 0 after `timeout` seconds.
 
-        Appends the number to `counts`, if it is not 0.
+        Appends the number to `counts`, unless it is 0.
         """
 
     def unwritten(self) -> int:
@@ -65,12 +66,12 @@ class Line(Protocol):
 def open_line(url: str, config: LineConfig) -> Line:
     """Open a line by a URL of pyserial's, 8N1, raw, exclusive.
 
-    `config`: with a baud rate. Its `ring_size` and `ping` do not matter here.
-    PortNotFoundError, PortDeniedError, PortBusyError, PortError; ValueError for a URL or a
-    baud rate that makes no sense.
+    `config`: its baud rate must be set; its `ring_size` and `ping` do not matter here.
+    Raises PortNotFoundError, PortDeniedError, PortBusyError, PortError, and ValueError for an
+    impossible URL or baud rate.
     """
     if not url:
-        raise PortNotFoundError("url is empty: no port has that name; 'canser ports' lists some")
+        raise PortNotFoundError("url is empty: there is no port ''; 'canser ports' lists the ports")
     scheme = url.partition("://")[0].lower()
     server = server_of(url) if scheme in _OVER_TCP else None
     if scheme == "socket":
@@ -96,7 +97,7 @@ def open_line(url: str, config: LineConfig) -> Line:
             _make_raw(source.fd, url)
             _claim(source.fd)
         return _Descriptor(source, url)
-    except (OSError, termios_error) as error:  # it may vanish at any time
+    except (OSError, termios_error) as error:  # the device may vanish at any time
         source.close()
         raise _open_error(url, config.baudrate, error) from None
     except BaseException:
@@ -104,7 +105,7 @@ def open_line(url: str, config: LineConfig) -> Line:
         raise
 
 
-# Lines that are connections to a server.
+# The schemes of lines that are connections to a server.
 _OVER_TCP: Final = ("socket", "rfc2217")
 
 
@@ -124,23 +125,23 @@ def _open_serial(url: str, config: LineConfig) -> Any:
             port = serial.serial_for_url(url, do_not_open=True, **options)
     except serial.SerialException as error:  # hwgrep:// has looked for the port already
         raise PortNotFoundError(
-            f"there is no port {url}: {error}; 'canser ports' lists what is"
+            f"there is no port {url}: {error}; 'canser ports' lists the ports"
         ) from None
-    # Each kind of URL reads its options in a way of its own, and raises what comes of that.
+    # Each kind of URL reads its options by code of its own, which raises any kind of exception.
     except Exception as error:  # noqa: BLE001
         raise ValueError(f"cannot open {url!r} at {config.baudrate} baud: {_text(error)}") from None
     if not config.flush:
-        # Opening throws away what waits there; these are what it calls for that.
+        # Otherwise `open` throws away the bytes that wait: by calls of these methods.
         port.reset_input_buffer = port._reset_input_buffer = _nothing
     levels = _levels(config)
     for name, level in levels.items():
-        setattr(port, name, level)  # before it is open: then a line is never at the other level
+        setattr(port, name, level)  # before `open`: otherwise a line has the other level at first
     try:
         port.open()
     except Exception as error:  # noqa: BLE001 - as above
         raise _open_error(url, config.baudrate, error) from None
     try:
-        # Opening passes in silence over modem lines that are not there; setting them does not.
+        # `open` ignores that modem lines are missing. Setting them again raises.
         for name, level in levels.items():
             setattr(port, name, level)
     except OSError as error:
@@ -155,20 +156,20 @@ def _open_serial(url: str, config: LineConfig) -> Any:
 
 
 def _levels(config: LineConfig) -> dict[str, bool]:
-    """Return the modem lines that are to be set, and whether on."""
+    """Return the modem lines that have to be set, and whether on."""
     asked = {"dtr": config.dtr, "rts": config.rts}
     return {name: level == "on" for name, level in asked.items() if level != "leave"}
 
 
 def _nothing() -> None:
-    """Leave the bytes that wait where they are."""
+    """Throw no bytes away."""
 
 
 termios_error: Final[type[Exception]] = termios.error if sys.platform != "win32" else OSError
 
 
 def _open_error(url: str, baudrate: int | None, error: Exception) -> Exception:
-    """Return the error of this package for one of the system or pyserial."""
+    """Return the error of this package for an error of the system or of pyserial."""
     number = _number(error)
     kind: type[Exception] = PortError
     if not isinstance(error, (OSError, termios_error)):
@@ -183,36 +184,36 @@ def _open_error(url: str, baudrate: int | None, error: Exception) -> Exception:
         kind, text = PortBusyError, f"{url} is open in another program; close it there"
     elif number in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO):
         kind = PortNotFoundError
-        text = f"there is no port {url}; is the adapter plugged in? 'canser ports' lists what is"
+        text = f"there is no port {url}; is the adapter plugged in? 'canser ports' lists the ports"
     elif number in (errno.EMFILE, errno.ENFILE):
         text = f"cannot open {url}: {_reason(error)}; allow more with 'ulimit -n'"
     elif _is_file(url):
         text = f"{url} is no serial port; files are read by canser.read"
     elif number == errno.ENOTTY:
-        text = f"{url} is no serial port; 'canser ports' lists what is"
+        text = f"{url} is no serial port; 'canser ports' lists the ports"
     else:
         text = f"cannot open {url} at {baudrate} baud: {_reason(error)}"
     return kind(text)
 
 
 def _is_file(url: str) -> bool:
-    """Return whether there is something of that name that is no device."""
+    """Return whether the path exists, and is no device."""
     with contextlib.suppress(OSError):
         return not stat.S_ISCHR(os.stat(url).st_mode)  # noqa: PTH116
     return False
 
 
 def _reason(error: Exception) -> str:
-    """Return what the system says, without its number and what pyserial adds."""
+    """Return the system's text of an error, without its number and pyserial's text."""
     number = _number(error)
     if number > 0:
         return os.strerror(number)
-    # Those of names on the network have numbers of their own.
+    # Errors of name servers have numbers of their own.
     return getattr(error.__context__, "strerror", None) or _text(error)
 
 
 def _number(error: BaseException) -> int:
-    """Return the system's number of an error, or of the one that it came of; 0 for none."""
+    """Return the system's number of an error, or of its cause; 0 for none."""
     number = _own_number(error)
     if not number and error.__context__ is not None:
         number = _own_number(error.__context__)
@@ -220,13 +221,13 @@ def _number(error: BaseException) -> int:
 
 
 def _own_number(error: BaseException) -> int:
-    # Those of termios have their number in front, and nowhere else.
+    # Errors of termios have no `errno`: their number is the first argument.
     found = getattr(error, "errno", None) or next(iter(error.args), None)
     return found if isinstance(found, int) else 0
 
 
 def _text(error: Exception) -> str:
-    """Return what an error says: some of pyserial's are the name of a key, or nothing."""
+    """Return the text of an error, with its type where pyserial gives a mere key or no text."""
     if isinstance(error, LookupError) or not str(error):
         return f"{type(error).__name__} {error}".strip()
     return str(error)
@@ -236,7 +237,7 @@ _GROUP_MAY: Final = stat.S_IRGRP | stat.S_IWGRP
 
 
 def _group_hint(path: str) -> str:
-    """Return what helps a user who may not open a device."""
+    """Return the remedy for a user who may not open a device."""
     if sys.platform == "win32":
         return ""
     try:
@@ -250,21 +251,21 @@ def _group_hint(path: str) -> str:
         return f", though it belongs to the group {name}, and this user does, too"
     return (
         f": it belongs to the group {name}, and this user does not; "
-        f"'sudo usermod -aG {name} $USER', then log in anew"
+        f"'sudo usermod -aG {name} $USER', then log in again"
     )
 
 
 def _has_descriptor(port: Any) -> bool:
-    """Return whether pyserial itself reads the port from a descriptor; spy:// for one does not."""
+    """Return whether pyserial reads the port from a descriptor; spy://, for example, does not."""
     import serial  # noqa: PLC0415
 
     return sys.platform != "win32" and type(port).read is serial.Serial.read
 
 
 def _make_raw(fd: int, url: str) -> None:
-    """Set a terminal so that every byte passes as it is, and see that it is so.
+    """Set a terminal so that every byte passes as it is, and check that.
 
-    A cooked terminal eats 03, 11 and 13, turns 0D into 0A, and doubles FF.
+    Otherwise the terminal removes the bytes 03, 11 and 13, turns 0D into 0A, and doubles FF.
     """
     if sys.platform == "win32":
         return
@@ -272,7 +273,8 @@ def _make_raw(fd: int, url: str) -> None:
     for place, bits in _COOKED.items():
         wanted[place] &= ~bits
     wanted[_CFLAG] = wanted[_CFLAG] & ~termios.CSIZE | termios.CS8 | termios.CREAD | termios.CLOCAL
-    # A read of nothing is then told from the end: the one is EAGAIN, the other no bytes.
+    # Otherwise a read gives no bytes both without data and at the end. So it fails with EAGAIN
+    # without data, and gives no bytes at the end.
     wanted[_CC][termios.VMIN], wanted[_CC][termios.VTIME] = 1, 0
     termios.tcsetattr(fd, termios.TCSANOW, wanted)
     found = termios.tcgetattr(fd)
@@ -280,7 +282,7 @@ def _make_raw(fd: int, url: str) -> None:
         if found[place] & bits:
             raise PortError(
                 f"{url} changes bytes on their way (settings {place}: {found[place] & bits:#x} "
-                "stay on): its driver is of no use for binary data"
+                "stay on): its driver cannot carry binary data"
             )
     if found[_OSPEED] != wanted[_OSPEED] or found[_CFLAG] & termios.CSIZE != termios.CS8:
         raise PortError(f"{url} did not take its speed or 8 data bits: its driver cannot do that")
@@ -288,7 +290,8 @@ def _make_raw(fd: int, url: str) -> None:
 
 if sys.platform != "win32":
     _CFLAG, _OSPEED, _CC = 2, 5, 6
-    # By the place in what tcgetattr() gives: input, output, control and local settings.
+    # The flags that change bytes, by their place in the list of tcgetattr(): input, output, control
+    # and local settings.
     _COOKED: Final = {
         0: termios.IGNBRK | termios.BRKINT | termios.PARMRK | termios.INPCK | termios.ISTRIP
         | termios.INLCR | termios.IGNCR | termios.ICRNL | termios.IXON | termios.IXOFF
@@ -300,9 +303,9 @@ if sys.platform != "win32":
 
 
 def _claim(fd: int) -> None:
-    """Keep programs away that do not ask for a lock, as cat does.
+    """Keep other programs from opening the device, also those that ask for no lock, such as cat.
 
-    Not on pseudo terminals: there it would outlive a program that is killed.
+    Not on pseudo terminals: there the claim would stay after a program was killed.
     """
     if sys.platform != "win32":
         with contextlib.suppress(OSError):
@@ -310,24 +313,23 @@ def _claim(fd: int) -> None:
                 fcntl.ioctl(fd, termios.TIOCEXCL)
 
 
-# A read that gives _MUCH bytes or more is followed by another, up to _BURST bytes in all. They
-# get one time of arrival.
-_MUCH: Final = 4000
+# A terminal gives at most 4 KiB in one read. A read of _FULL_READ bytes or more is followed by
+# another one, up to _BURST bytes in all. All these bytes get one time of arrival.
+_FULL_READ: Final = 4000
 _BURST: Final = 1 << 16
 
-# After a read that gave this many bytes there are mostly more by the next one. So that one reads
-# at once, and does not poll first.
-_SOME: Final = 1024
+# After a read of this many bytes the next one mostly finds more. So that one does not poll first.
+_BUSY_READ: Final = 1024
 
-# poll() takes no longer time, in milliseconds: an int of C.
+# The longest time for poll(), in milliseconds: an int of C.
 _POLL_MAX_MS: Final = (1 << 31) - 1
 
-# The other end of a connection does not answer when the system says one of these.
+# Errors by which the other end of a connection does not answer.
 _SILENT: Final = {
     errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.EHOSTDOWN, errno.ENETUNREACH, errno.ENETDOWN,
 }  # fmt: skip
 
-# A line is dead when the system says one of these.
+# Errors by which a line is dead.
 _DEAD: Final = _SILENT | {
     errno.EIO, errno.ENXIO, errno.ENODEV, errno.EPIPE, errno.ECONNRESET, errno.ECONNABORTED,
     errno.EBADF, errno.ENOTCONN, errno.ESHUTDOWN,
@@ -341,15 +343,15 @@ class _Descriptor:
         self._source, self._url = source, url
         self._fd: int = source.fileno()
         self._woken, self._waker = os.pipe()
-        self._busy = False  # the last read gave much
-        # poll() and not select(), which ends at 1023 descriptors.
+        self._busy = False  # whether the last read gave _BUSY_READ bytes or more
+        # poll() and not select(), which takes no descriptor above 1023.
         self._readable, self._writable = select.poll(), select.poll()
         self._readable.register(self._fd, select.POLLIN)
         self._readable.register(self._woken, select.POLLIN)
         self._writable.register(self._fd, select.POLLOUT)
 
     def read_into(self, room: memoryview, timeout: float | None) -> int:
-        # On a busy line there is mostly something: asking first would cost a third more.
+        # A busy line mostly has bytes: to poll first would cost a third more.
         count = self._read(room) if self._busy else None
         if count is None:
             ms = None if timeout is None else min(max(timeout, 0) * 1000, _POLL_MAX_MS)
@@ -360,19 +362,18 @@ class _Descriptor:
                 count = self._read(room)
         if not count:
             return 0
-        # A terminal gives 4 KB at most: where there was as much, there is more.
         more, end = count, min(len(room), _BURST)
-        while more >= _MUCH and count < end:
+        while more >= _FULL_READ and count < end:
             try:
                 more = self._read(room[count:]) or 0
             except (PortGoneError, OSError):
-                break  # it will come again, when these bytes are safe
+                break  # the next call raises it again; these bytes are returned first
             count += more
-        self._busy = count >= _SOME
+        self._busy = count >= _BUSY_READ
         return count
 
     def _read(self, room: memoryview) -> int | None:
-        """Read what is there; None where nothing is."""
+        """Read what is there; None if no byte is."""
         try:
             count = os.readv(self._fd, [room])
         except BlockingIOError:
@@ -387,7 +388,8 @@ class _Descriptor:
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
             try:
-                # No signal handler, which may raise, comes between the write and the number.
+                # In one call of C: otherwise a signal handler that raises could come between the
+                # write and the note of its number.
                 counts.extend(map(os.write, (self._fd,), (data,)))
                 return counts[-1]
             except BlockingIOError:
@@ -432,7 +434,7 @@ class _Descriptor:
 
 
 class _Serial:
-    """A line that only pyserial can read: loop://, spy://, or the ports of Windows."""
+    """A line that only pyserial can read: loop://, spy://, and the ports of Windows."""
 
     def __init__(self, port: Any, url: str) -> None:
         self._port, self._url = port, url
@@ -467,13 +469,13 @@ class _Serial:
         timeout: float | None,  # noqa: ARG002 - see below
         counts: list[int],
     ) -> int:
-        # Not every kind of port has a time-out for writing; pieces keep a call short.
-        piece = bytes(data[:4096])
+        # Not every kind of port has a time-out for writing. A short part keeps the call short.
+        part = bytes(data[:4096])
         try:
-            written = self._port.write(piece)
+            written = self._port.write(part)
         except (OSError, TypeError) as error:
             raise _gone(self._url) from error
-        counts.append(len(piece) if written is None else int(written))
+        counts.append(len(part) if written is None else int(written))
         return counts[-1]
 
     def unwritten(self) -> int:
@@ -493,7 +495,7 @@ class _Serial:
 
 
 class _Rfc2217(_Serial):
-    """A line of a server of RFC 2217; its time-outs are those of the caller."""
+    """A line of a server of RFC 2217, with the caller's time-outs."""
 
     def _receive(self, most: int, timeout: float) -> bytes:
         data: bytes = self._port.receive(most, timeout)

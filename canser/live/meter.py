@@ -1,4 +1,4 @@
-"""How much goes over a line just now: frames, bytes, and bits of the bus."""
+"""Rates of a line: frames and bytes per second, and the load of the bus."""
 
 from collections import deque
 from typing import Final, NamedTuple
@@ -9,30 +9,32 @@ from canser._frames import FrameArray
 
 __all__ = ["Meter", "Rates", "bus_bits", "longest_bits"]
 
-# Rates are those of this time until now.
+# Rates are means over this time until now.
 _SPAN_S: Final = 1.0
 
 # Bits of a frame without its data, with the pause of three bits behind it (CAN 2.0, 3.1): start 1,
 # identifier and control bits 18 or 38, CRC 16, acknowledgement 2, end 7, pause 3.
 _STANDARD: Final = 47
 _EXTENDED: Final = 67
-# An error flag of six bits, its delimiter of eight, and the pause; flags may overlap to more.
-_ERROR: Final = 17
-_ERROR_LONGEST: Final = 23  # flags that overlap are up to twelve bits (CAN 2.0, 3.1.3)
 
-# Bits of a frame without its data, from the start to the CRC, among which stuff bits may lie. Five
-# equal bits are followed by a stuff bit, which counts as the first of the next five (CAN 2.0, 5).
-# So the first one stands behind five bits and each further one behind four more: among n bits
-# there are (n - 1) // 4 at most.
+# Bits of an error frame: a flag of 6 bits, its delimiter of 8, and the pause of 3. The flags of
+# several nodes may overlap, to 12 bits at most (CAN 2.0, 3.1.3).
+_ERROR: Final = 17
+_ERROR_LONGEST: Final = 23
+
+# Bits of a frame without its data among which stuff bits may lie: from the start to the CRC. A
+# stuff bit follows five equal bits, and counts as the first of the next five (CAN 2.0, 5). So the
+# first stuff bit comes behind five bits at the earliest, each further one behind four more: among
+# n bits there are at most (n - 1) // 4.
 _STANDARD_STUFFED: Final = 34
 _EXTENDED_STUFFED: Final = 54
 
 
 def bus_bits(frames: FrameArray) -> int:
-    """Return the bits that frames take on the bus, without stuff bits.
+    """Return the number of bits that frames take on the bus, without stuff bits.
 
-    Stuff bits depend on the CRC, too, and are up to a fifth more: a load by these bits is a
-    lower bound. Remote frames carry no data.
+    So the load of the bus by these bits is a lower bound. Stuff bits depend on the CRC, too, and
+    add up to a fifth. Remote frames carry no data.
     """
     data = 8 * np.minimum(frames["dlc"], 8).sum(where=~(frames["rtr"] | frames["err"]), dtype=int)
     errors = int(frames["err"].sum())
@@ -46,7 +48,7 @@ def _longest(byte_count: int, bits: int, stuffed: int) -> int:
     return bits + data + (stuffed + data - 1) // 4
 
 
-# By whether the frame is extended, and its bytes of data.
+# The most bits of a frame, by whether it is extended, and its number of data bytes.
 _LONGEST: Final = {
     ext: [_longest(byte_count, bits, stuffed) for byte_count in range(9)]
     for ext, bits, stuffed in (
@@ -57,11 +59,11 @@ _LONGEST: Final = {
 
 
 def longest_bits(frames: FrameArray) -> list[int]:
-    """Return the bits that each frame takes on the bus at most, with stuff bits.
+    """Return the most bits that each frame can take on the bus, with stuff bits.
 
-    Plain numbers: this is for a few frames at a time.
+    A list, as this is for a few frames at a time.
     """
-    # Not `frames.tolist()`, which takes 1 microsecond a frame for the payloads.
+    # `frames.tolist()` would take 1 microsecond for the data of each frame.
     fields = [frames[name].tolist() for name in ("ext", "rtr", "err", "dlc")]
     return [
         _ERROR_LONGEST if err else _LONGEST[ext][0 if rtr else min(dlc, 8)]
@@ -70,28 +72,31 @@ def longest_bits(frames: FrameArray) -> list[int]:
 
 
 class Rates(NamedTuple):
-    """Of the last second."""
+    """Rates over the last second."""
 
-    frames: float  # per second
-    bytes: float  # per second
-    load: float | None  # of the bus, 0 to 1, without stuff bits; None: its bit rate is not known
+    #: Frames per second.
+    frames: float
+    #: Bytes of the line per second.
+    bytes: float
+    #: Load of the CAN bus, 0 to 1, without stuff bits; None if the bit rate is not known.
+    load: float | None
 
 
 class Meter:
-    """Count what comes, and tell its rates over the last second.
+    """Count frames and bytes, and return their rates over the last second.
 
-    `bitrate`: of the CAN bus in bit/s, None if it is unknown. Times are seconds of any
-    clock that does not step.
+    `bitrate`: of the CAN bus in bit/s, None if it is not known. Times are seconds of any clock
+    that does not step.
     """
 
     def __init__(self, bitrate: int | None, now: float) -> None:
         self.frames = 0
         self.bits = 0  # on the bus
         self._bitrate = bitrate
-        self._samples = deque([(now, 0, 0, 0)])  # time; frames, bytes and bits until then
+        self._samples = deque([(now, 0, 0, 0)])  # time, and frames, bytes and bits until then
 
     def add(self, frames: FrameArray, bytes_in: int, now: float) -> None:
-        """Count some frames; `bytes_in`: bytes of the line until now."""
+        """Count frames; `bytes_in`: all bytes of the line until `now`."""
         self.frames += len(frames)
         self.bits += bus_bits(frames)
         self._samples.append((now, self.frames, bytes_in, self.bits))
@@ -99,8 +104,10 @@ class Meter:
             self._samples.popleft()
 
     def rates(self) -> Rates:
-        """Return the rates."""
+        """Return the rates over the last second."""
         first, last = self._samples[0], self._samples[-1]
-        span = last[0] - first[0]
-        frames, held, bits = ((last[i] - first[i]) / span if span > 0 else 0.0 for i in range(1, 4))
-        return Rates(frames, held, None if self._bitrate is None else bits / self._bitrate)
+        span_s = last[0] - first[0]
+        frames, byte_rate, bits = (
+            (last[i] - first[i]) / span_s if span_s > 0 else 0.0 for i in range(1, 4)
+        )
+        return Rates(frames, byte_rate, None if self._bitrate is None else bits / self._bitrate)

@@ -1,7 +1,8 @@
-"""Frames go to an adapter no faster than its bus carries them.
+"""Send frames to an adapter no faster than its bus carries them.
 
-The line to an adapter carries more than its bus: 2 Mbaud three to four times what 500 kbit/s take.
-What the adapter has no room for it throws away, and does not tell.
+Otherwise frames get lost: an adapter throws away frames for which it has no room, and does not
+report that. The line to an adapter is faster than the bus: a line of 2 Mbaud carries three to four
+times as many frames as a bus of 500 kbit/s.
 """
 
 import threading
@@ -12,42 +13,42 @@ from typing import Final
 
 __all__ = ["AHEAD_FRAMES", "Pacer"]
 
-#: The most frames that were handed over and that the bus may not have sent yet.
+#: The most frames that are given to the adapter, and that the bus may not have sent yet.
 AHEAD_FRAMES: Final = 16
 
-# Many frames are handed over this many at a time: a thread that wakes for each one would take
-# more of a processor, and one that waits for all 16 would leave the bus idle.
-_AT_ONCE: Final = AHEAD_FRAMES // 2
+# A sender waits until this many frames may go out. A thread that wakes for each frame would take
+# more processor time; one that waits until all 16 may go out would leave the bus idle.
+_BATCH_FRAMES: Final = AHEAD_FRAMES // 2
 
 
 class Pacer:
     """When frames may go out to a bus that takes a known time for each. Safe for threads."""
 
     def __init__(self) -> None:
-        # When the bus has sent each of the last frames, by time.monotonic().
+        # For each of the last frames: when the bus has sent it, by time.monotonic().
         self._ends: deque[float] = deque(maxlen=AHEAD_FRAMES)
         self._lock = threading.Lock()
 
     def take(self, seconds: Sequence[float], deadline: float | None) -> int:
-        """Wait until the first of some frames may go out; return how many may, and count them.
+        """Wait until some of the next frames may go out; return how many, and count them as sent.
 
-        `seconds`: what each of the frames, one or more, takes on the bus at most. `deadline`: of
-        time.monotonic(), None for never; behind it 0 is returned where none may go out.
+        `seconds`: the longest time on the bus of each frame, one or more. `deadline`: of
+        time.monotonic(), None for never; after it the call returns 0 if no frame may go out.
         """
-        wanted = min(len(seconds), _AT_ONCE)
+        wanted = min(len(seconds), _BATCH_FRAMES)
         while True:
             with self._lock:
                 now = time.monotonic()
                 waiting = [end for end in self._ends if end > now]
                 room = AHEAD_FRAMES - len(waiting)
-                over = deadline is not None and now >= deadline
-                if room >= wanted or over:
+                is_over = deadline is not None and now >= deadline
+                if room >= wanted or is_over:
                     return self._add(seconds[:room], now)
                 pause = waiting[wanted - room - 1] - now
             time.sleep(pause if deadline is None else min(pause, deadline - now))
 
     def _add(self, seconds: Sequence[float], now: float) -> int:
-        """Count frames that go out now, the one behind the other."""
+        """Count frames that go out now, one after the other; return how many."""
         end = max(self._ends[-1], now) if self._ends else now
         for each in seconds:
             end += each

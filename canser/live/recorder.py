@@ -1,4 +1,4 @@
-"""A recording beside whatever else a program does with a port."""
+"""A recording in a thread of its own, while a program uses the port."""
 
 import contextlib
 import threading
@@ -27,20 +27,34 @@ class _Thread(threading.Thread):
 
 
 class Recorder(Uncopied):
-    """Records what a port receives, made by `Port.record`; a context manager.
+    """A recording of all bytes that a port receives, made by `Port.record`; a context manager.
 
-    A thread of its own takes the bytes from a ring of its own: it records all of them, whether
-    the port is read or not. A slow reader and a slow disk do not lose each other's bytes; each
-    loss is counted by itself, here in `status`.
-
-    The recording ends with `close`, with the port, when the device is gone, or with an error of
-    the disk. At the end of the program it does not end by itself: what is not on the disk is
-    missing then, the last second and what waits in the ring.
+    Close the recorder, or the port, before the program ends. Otherwise the file lacks what is not
+    on the disk yet: the bytes of the last second, and those that wait in the ring.
 
     Attributes
     ----------
     error : Exception or None
-        What has ended the recording before `close` and before the port was closed.
+        What has ended the recording, if it ended before `close` and before the port was closed.
+
+    Notes
+    -----
+    A thread takes the bytes from a ring of the recorder's own, whether the port is read or not. So
+    a slow reader does not lose bytes of the recording, and a slow disk does not lose bytes of the
+    reader. Each loss is counted by itself: `Port.bytes_lost`, and `bytes_lost` in `status`.
+
+    The recording ends with `close`, with the port, when the device is gone, or with an error of
+    the disk.
+
+    Examples
+    --------
+    >>> with canser.open("loop://", "seeed") as port:
+    ...     recorder = port.record("run.pcapng")
+    ...     count = port.send(canser.frames("123#DEADBEEF", "124#"))
+    ...     frames = port.read_batch(min_frames=2)
+    >>> status = recorder.status
+    >>> status.bytes_recorded, status.bytes_lost
+    (14, 0)
     """
 
     def __init__(
@@ -55,11 +69,12 @@ class Recorder(Uncopied):
         self.error: Exception | None = None
         self._unraised: Exception | None = None  # for `close`
         self._ending = threading.Event()
-        self._job = make_job(self._tell)
+        self._job = make_job(self._report)
         self._thread = _Thread(target=self._run, name="canser recorder", daemon=True)
         with contextlib.ExitStack() as undo:
             undo.enter_context(self._job)
-            # Before there is a file: making one takes a while, in which bytes come.
+            # The ring gets bytes before there is a file. Otherwise bytes would be missing that
+            # come while the file is made.
             undo.callback(reader.remove_ring, ring)
             reader.add_ring(ring)
             self._job.start()
@@ -75,26 +90,29 @@ class Recorder(Uncopied):
 
     @property
     def status(self) -> RecorderStatus:
-        """How the recording stands: about 0.2 s ago, longer where the disk takes longer."""
+        """A snapshot of the recording: `RecorderStatus`.
+
+        It is about 0.2 s old, or older if the disk is slow.
+        """
         return self._status
 
     @property
     def closed(self) -> bool:
-        """Whether the recording has ended, and its file is closed."""
+        """Whether the recording has ended, and its file is closed: a bool."""
         return not self._thread.is_alive()
 
     def close(self) -> None:
         """Record what the line has delivered until now, and close the file.
 
-        May be called again, by any thread, and by `on_event`: the recording ends after that call
-        of `on_event` then. Takes up to 0.7 s where bytes keep coming.
+        Takes up to 0.7 s if bytes keep coming. May be called again, by any thread, and by
+        `on_event`; then the recording ends after that call of `on_event`.
 
         Raises
         ------
         OSError
-            Once, where the disk was full or away: the message tells what is recorded.
+            Once, if the disk was full or away. The message says what is recorded.
         CanserWarning
-            Once, where warnings are errors and there was one.
+            Once, if there was a warning and warnings are errors.
         """
         self._end()
         error, self._unraised = self._unraised, None
@@ -102,10 +120,10 @@ class Recorder(Uncopied):
             raise error
 
     def _end(self) -> None:
-        """End the recording as `close` does, without an error; for the port, too.
+        """End the recording as `close` does, and raise nothing; also called by the port.
 
-        The end is not waited for where this thread must not wait: in `on_event`, and in a signal
-        handler that came while a lock was held.
+        Does not wait for the end in `on_event`, and in a signal handler that came while this
+        thread held a lock. Otherwise the wait would never end.
         """
         self._ending.set()
         in_event = isinstance(threading.current_thread(), _Thread)
@@ -125,9 +143,9 @@ class Recorder(Uncopied):
                     self._stop_filling()
         except PortClosedError:
             pass
-        except Exception as error:  # noqa: BLE001 - the owner asks for it
+        except Exception as error:  # noqa: BLE001 - `error` and `close` report it
             self.error = error
-            if not isinstance(error, PortError):  # that the reader of the port is told
+            if not isinstance(error, PortError):  # the port itself raises those
                 self._unraised = error
                 job.warn(f"{self._url}: {error}")
         self._status = job.status
@@ -135,8 +153,8 @@ class Recorder(Uncopied):
     def _stop_filling(self) -> None:
         self._reader.remove_ring(self._ring)
 
-    def _tell(self, event: RecorderEvent) -> None:
-        """Tell of an event; whatever that raises, the recording goes on."""
+    def _report(self, event: RecorderEvent) -> None:
+        """Call `on_event`; the recording goes on after any exception."""
         try:
             self._on_event(event)
         except CanserWarning as warning:  # warnings are errors
@@ -144,8 +162,8 @@ class Recorder(Uncopied):
         except BaseException as error:  # noqa: BLE001 - SystemExit, too
             self._warn(f"{self._url}: on_event failed: {type(error).__name__}: {error}")
 
-    def _warn(self, told: str) -> None:
+    def _warn(self, message: str) -> None:
         try:
-            warnings.warn(told, CanserWarning, stacklevel=2)
+            warnings.warn(message, CanserWarning, stacklevel=2)
         except Exception as error:  # noqa: BLE001 - warnings are errors, or cannot be shown
             self._unraised = self._unraised or error

@@ -1,4 +1,4 @@
-"""What a recording of a port is asked for, what it does, and what it tells meanwhile."""
+"""A recording of a port: its options, its work, its events and its status."""
 
 import os
 import time
@@ -35,24 +35,24 @@ __all__ = [
     "warn_of",
 ]
 
-# The time between two looks at whether a recording shall end, and between two statuses.
+# A recording checks at this interval whether it shall end, and makes a status.
 ROUND_S: Final = 0.2
 
-# A file of less than this is mostly its own header.
+# The smallest `size` of a file, in bytes. The header of a smaller file would be a large part of it.
 _SIZE_LEAST: Final = 100_000
 
-# What is recorded before and after a trigger, where the caller does not say.
+# The default of `before` and `after`: the time that is recorded around a trigger.
 _WINDOW_S: Final = 5.0
 
-# Frames that are taken at once.
-_ROOM: Final = 4096
+# The most frames that are taken from the stream at once.
+_BATCH_FRAMES: Final = 4096
 
-# After the wish to stop, bytes on their way are waited for: until none come for _QUIET_S, and
-# for _DRAIN_S at most.
+# When a recording shall end, some bytes may still be on their way from the line. They are recorded
+# until none come for _QUIET_S, and for _DRAIN_S at most.
 _QUIET_S: Final = 0.05
 _DRAIN_S: Final = 0.5
 
-# The name of the trigger by error frames and by errors that the adapter reports.
+# The name of the trigger for error frames and for errors that the adapter reports.
 _ERROR: Final = "error"
 
 _GAP_REASONS: Final = {
@@ -62,15 +62,15 @@ _GAP_REASONS: Final = {
 }
 
 _CLOCK_TEXT: Final = (
-    "times in the open file go on as before, a file that begins later has the new time"
+    "times in the open file go on as before; a file that is opened later has the new time"
 )
 
 _FILE_TEXTS: Final = {
     "opened": "recording into",
     "closed": "closed",
     "deleted": "deleted",
-    "restored": "nothing was recorded, and there is the old file again:",
-    "set_aside": "the old file stays:",
+    "restored": "nothing was recorded; the old file has its name back:",
+    "set_aside": "the old file is kept as",
 }
 
 
@@ -88,42 +88,50 @@ class RecordOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordConfig:
-    """Which files a recording makes.
+    """Which files a recording makes: the options of `Port.record` and `canser.record`.
 
-    Attributes
-    ----------
-    size : int or str, optional
-        Bytes of a file at most, such as `"100M"`; 100,000 or more. Then, as with `time` and
-        `triggers`, files are NAME-000001.pcapng and so on.
-    time : float or str, optional
-        Time in a file at most, in seconds, or such as `"1h"`.
-    keep : int, optional
-        The newest files of this recording that are kept; older ones are deleted.
-    triggers : str or sequence of str
-        Record only what surrounds frames that pass one of these filters, such as `"123"` or
-        `"700:7F0"`, or `"error"` for error frames and errors that the adapter reports.
-    before, after : float or str, optional
-        Time that is recorded before and after a trigger; by default 5 s.
-    force : bool, default False
-        Whether files that are there are replaced.
+    All fields are keywords with a default, and are checked when the object is made. Sizes and
+    times that were texts are numbers then.
 
     Raises
     ------
     TypeError, ValueError
-        For a value that is none of these.
+        For a value that a field cannot have, and for `before` or `after` without `triggers`.
+
+    Notes
+    -----
+    Without `size`, `time` and `triggers` a recording is one file. Otherwise its files are
+    numbered: NAME-000001.pcapng, NAME-000002.pcapng and so on.
 
     Examples
     --------
-    >>> canser.RecordConfig(size="100M", keep=20).keep
-    20
+    The newest 20 files of 100 MB, and an hour at most, each:
+
+    >>> config = canser.RecordConfig(size="100M", time="1h", keep=20)
+    >>> config.size, config.time
+    (100000000, 3600.0)
+
+    Only what comes up to 5 s before and 30 s after a frame 123, or after an error:
+
+    >>> config = canser.RecordConfig(triggers=["123", "error"], after="30s")
     """
 
+    #: The most bytes of a file, 100,000 or more, as a number or such as "100M". None: no limit.
     size: int | str | None = None
+    #: The longest time in a file, in seconds or such as "1h", more than 0. None: no limit.
     time: float | str | None = None
+    #: How many files of this recording are kept, 1 or more: the newest ones. Older files are
+    #: deleted. None: all files are kept. For numbered files only.
     keep: int | None = None
+    #: Filters such as "123" or "700:7F0", as for `canser.match`, or "error". Only bytes around a
+    #: frame that passes one of them are recorded. "error" stands for error frames, and for errors
+    #: that the adapter reports.
     triggers: str | Sequence[str] = ()
+    #: Time that is recorded before a trigger, in seconds or such as "10s". None: 5 s.
     before: float | str | None = None
+    #: Time that is recorded after a trigger, in seconds or such as "10s". None: 5 s.
     after: float | str | None = None
+    #: Whether files that are there already are replaced.
     force: bool = False
 
     def __post_init__(self) -> None:
@@ -147,7 +155,7 @@ class RecordConfig:
         put("force", flag(self.force, "force"))
 
     def make_files(self, path: str | os.PathLike[str], info: RecordingInfo) -> RecordingFiles:
-        """Return what bytes are written to; for this package's own use. No file is made yet."""
+        """Return the writer of the files; no file is made yet. For this package's own use."""
         path = path if isinstance(path, os.PathLike) else text(path, "path", "'run.pcapng'")
         window_ns = None
         if self.triggers:
@@ -184,41 +192,58 @@ def _nanoseconds(seconds: float | str | None) -> int:
 
 
 def _triggers(value: object) -> tuple[str, ...]:
-    """Return filters, each of which can be read."""
+    """Return the triggers as a tuple; TypeError or ValueError if one is no filter."""
     if isinstance(value, str):
         value = (value,)
     elif not isinstance(value, Sequence):
         raise TypeError(f"triggers is {value!r}; it must be a filter or several, such as '123'")
     triggers = tuple(text(each, "a trigger", "'123' or 'error'") for each in value)
+    # Raises what is wrong with a filter.
     match(np.empty(0, FRAME_DTYPE), *(each for each in triggers if each != _ERROR))
     return triggers
 
 
 class RecorderEvent(NamedTuple):
-    """Something that has happened in a recording; given by a recording to `on_event`."""
+    """Something that has happened in a recording, given by it to `on_event`.
 
-    #: "opened", "closed", "deleted"; "vanished": removed, replaced or renamed while it was open;
-    #: "restored", "set_aside": what `force` was to replace: a file, `path`.
-    #: "trigger"; "gap"; "back": the device is back after a gap. "error": what the adapter
-    #: reports, `number`. "clock_set": the host's clock, by `step_ns`. "warning".
+    Notes
+    -----
+    The kinds of events:
+
+    - "opened", "closed": the file `path` was opened or closed.
+    - "deleted": the file `path` was deleted, as newer ones are kept.
+    - "vanished": the file `path` was removed, replaced or renamed while it was open.
+    - "restored": `force` had set the file `path` aside. It has its name back, as nothing was
+      recorded.
+    - "set_aside": `force` had set the file aside. It is kept as `path`.
+    - "trigger": a trigger has come.
+    - "gap": bytes are missing; see `Gap`.
+    - "back": the device is back after a gap.
+    - "error": the adapter reports the error `number`.
+    - "clock_set": the host's clock was set, by `step_ns`.
+    - "warning": something is wrong; `text` says what.
+    """
+
+    #: One of the names above.
     kind: str
-    #: What has happened, in a line.
+    #: What has happened, in one line.
     text: str
     #: When, in epoch nanoseconds of the host's clock as it is set now.
     ts: int
-    #: The file; of a trigger the one that was open, or "".
+    #: The file; for a trigger the file that was open, or "".
     path: str = ""
-    #: Bytes: of a gap, -1 where their number is unknown; or gone with a file that has vanished.
+    #: For a gap: the number of missing bytes, -1 if it is unknown. For a file that has vanished:
+    #: the number of the line's bytes that are gone with it.
     lost: int = 0
-    #: Of a gap: where it is in the stream.
+    #: For a gap: stream offset of the first byte behind it.
     offset: int = 0
-    #: Of a gap: "overflow", "reconnect" or "watchdog".
+    #: For a gap: "overflow", "reconnect" or "watchdog".
     reason: str = ""
-    #: Of a file that has vanished: it has another name, and its bytes are there.
+    #: For a file that has vanished: whether it has another name, so that its bytes are there.
     renamed: bool = False
-    #: Of an error: what has happened, by the adapter's own numbers.
+    #: For an error: what has happened, by the adapter's own numbers.
     number: int = 0
-    #: By how many nanoseconds the host's clock was set forward.
+    #: By how many nanoseconds the host's clock was set forward; less than 0: back.
     step_ns: int = 0
 
 
@@ -226,94 +251,74 @@ OnEvent = Callable[[RecorderEvent], None]
 
 
 def warn_of(event: RecorderEvent) -> None:
-    """Make a warning of Python's of an event that is one; what tells where nothing else does."""
+    """Warn by Python's warnings of an event that is a warning: the default of `on_event`."""
     if event.kind in ("warning", "clock_set"):
         warnings.warn(event.text, CanserWarning, stacklevel=2)
 
 
 @dataclass(frozen=True, slots=True)
 class RecorderStatus:
-    """How far a recording is; returned by `Recorder.status`. Bytes are those of the line.
+    """A snapshot of a recording, made by `Recorder.status` and `canser.record`.
 
-    `bytes_in == bytes_recorded + bytes_passed + bytes_vanished` once it has ended, unless the disk
-    was full or away. `bytes_lost` are not in it.
+    Counts of bytes are those of the line, but for `file_bytes`.
 
-    Attributes
-    ----------
-    elapsed_s : float
-        Seconds since it began.
-    stats : Stats
-        The decoder's counters, of all bytes that were taken.
-    rates : Rates
-        `frames` and `bytes` per second, and the `load` of the bus, 0 to 1 (None where its bit rate
-        is not known), of the last second.
-    bytes_in : int
-        Bytes that were taken from the port.
-    bytes_recorded : int
-        Bytes in files; at the end those that are on the disk for sure.
-    bytes_passed : int
-        Bytes that are not recorded on purpose: no trigger was near.
-    bytes_vanished : int
-        Bytes in files that were removed or replaced while they were open.
-    bytes_unsure : int
-        Bytes that were written, but are not known to be on the disk.
-    bytes_lost : int
-        Bytes that came while the recording's own ring was full.
-    gaps : int
-        Places where bytes are missing.
-    gaps_unknown : int
-        Those of them of which the number of missing bytes is unknown.
-    triggers : int
-        Triggers so far.
-    files : int
-        Files that were opened.
-    files_kept : tuple of str
-        The paths of those that were not deleted by `keep`, oldest first; at the end only of those
-        that are there.
-    files_vanished : int
-        Files that were removed, replaced or renamed while they were open.
-    file : str
-        The path of the open file, "" for none.
-    file_bytes : int
-        Bytes in the open file.
-    last_file : str
-        The path of the file that was opened last, "" for none.
-    recording : bool
-        Whether what comes is recorded, and does not wait for a trigger.
-    away : bool
-        Whether the device is gone, and waited for.
-    ring_fill : float
-        How full the recording's ring is, 0 to 1.
+    Notes
+    -----
+    When a recording has ended, `bytes_in == bytes_recorded + bytes_passed + bytes_vanished`,
+    unless the disk was full or away. `bytes_in` does not include `bytes_lost`.
     """
 
+    #: Seconds since the recording began.
     elapsed_s: float
+    #: The decoder's counters, of all bytes that were taken from the port.
     stats: Stats
+    #: Of the last second: `frames` per second, `bytes` per second, and `load` of the bus, 0 to 1,
+    #: which is None if the bit rate of the bus is not known.
     rates: Rates
+    #: Bytes that were taken from the port.
     bytes_in: int
+    #: Bytes in files; at the end only those that are on the disk for sure.
     bytes_recorded: int
+    #: Bytes that are not recorded on purpose: no trigger was near.
     bytes_passed: int
+    #: Bytes in files that were removed or replaced while they were open.
     bytes_vanished: int
+    #: Bytes that were written, but are not known to be on the disk.
     bytes_unsure: int
+    #: Bytes that came while the recording's own ring was full.
     bytes_lost: int
+    #: Gaps: places where bytes are missing.
     gaps: int
+    #: Gaps with an unknown number of missing bytes.
     gaps_unknown: int
+    #: Triggers so far.
     triggers: int
+    #: Files that were opened.
     files: int
+    #: Paths of the files that were not deleted by `keep`, oldest first; at the end only of files
+    #: that are there.
     files_kept: tuple[str, ...]
+    #: Files that were removed, replaced or renamed while they were open.
     files_vanished: int
+    #: Path of the open file; "" if none is open.
     file: str
+    #: Size of the open file, in bytes.
     file_bytes: int
+    #: Path of the file that was opened last; "" if none was.
     last_file: str
+    #: Whether bytes are recorded as they come, and do not wait for a trigger.
     recording: bool
+    #: Whether the device is gone, and the recording waits for it.
     away: bool
+    #: How full the recording's ring is, 0 to 1.
     ring_fill: float
 
 
 class RecordingJob:
-    """Rounds of reading a stream, recording its bytes, and telling what happens.
+    """Read a stream, record its bytes, and report events, in rounds.
 
-    A context manager, for one thread: at its end it records what is held, and closes the file.
-    An OSError of the disk then tells what is recorded. `tell` is called with each event.
+    A context manager, for one thread: at its end it records the bytes that are held, and closes
+    the file. An OSError of the disk then says what is recorded. `tell` is called with each event.
     """
 
     def __init__(
@@ -331,10 +336,10 @@ class RecordingJob:
         self._errors = _ERROR in config.triggers
         self._begin = time.monotonic()
         self._meter = Meter(bitrate, self._begin)
-        self._room = np.empty(_ROOM, FRAME_DTYPE)
+        self._batch = np.empty(_BATCH_FRAMES, FRAME_DTYPE)
         self._gaps = self._gaps_unknown = 0
-        self._away = self._told_memory = False
-        self._gap_end = 0  # bytes that had come when the device went away
+        self._away = self._memory_reported = False
+        self._gap_end = 0  # `bytes_in` at the last gap
         self._ended = False
         stream.on_bytes = files.write
         stream.on_warning = self.warn
@@ -350,16 +355,16 @@ class RecordingJob:
         finally:
             self._ended = True
             try:
-                self._tell_files()
+                self._report_files()
             finally:
                 error = self._files.error
                 if isinstance(error, OSError):
                     raise self._explain(error) from error
 
     def start(self) -> None:
-        """Open the first file, where none waits for a trigger; its event comes with `step`.
+        """Open the first file, unless files wait for a trigger; `step` reports its event.
 
-        Raises what has ended the stream already; no file is made then.
+        Raises the error of a stream that has ended already; no file is made then.
         """
         if (error := self._stream.end_error()) is not None:
             raise error
@@ -369,22 +374,22 @@ class RecordingJob:
         self._files.start(now)
 
     def step(self, timeout: float) -> None:
-        """Record what comes within this time, in seconds.
+        """Record the bytes that come within this time, in seconds.
 
-        Raises what ends the stream, and OSError of the disk.
+        Raises the error that ends the stream, and OSError of the disk.
         """
-        self._tell_files()
+        self._report_files()
         deadline = time.monotonic() + timeout
         try:
-            self._stream.read(_ROOM, _ROOM, deadline)
+            self._stream.read(_BATCH_FRAMES, _BATCH_FRAMES, deadline)
         finally:
             self._take()
 
     def drain(self, stop: Callable[[], object]) -> None:
-        """Record what the line has delivered: some may wait in the system, or in the ring.
+        """Record the bytes that the line has delivered, and that wait in the system or the ring.
 
-        `stop` lets no more bytes into the ring. Without it a line that is faster than the disk
-        would keep this from its end.
+        `stop` keeps new bytes out of the ring. Otherwise this would never end on a line that is
+        faster than the disk.
         """
         end, stream = time.monotonic() + _DRAIN_S, self._stream
         quiet = False
@@ -394,12 +399,12 @@ class RecordingJob:
             quiet = self._files.bytes_in == before and not len(stream.ring)
         stop()
         while len(stream.ring) or stream.ring.at_gap:
-            stream.decode(_ROOM)
+            stream.decode(_BATCH_FRAMES)
             self._take()
 
     @property
     def status(self) -> RecorderStatus:
-        """How things stand."""
+        """The status as it is now."""
         files, stats = self._files, self._stream.decoder.stats
         return RecorderStatus(
             elapsed_s=time.monotonic() - self._begin,
@@ -415,7 +420,7 @@ class RecordingJob:
             gaps_unknown=self._gaps_unknown,
             triggers=files.triggers,
             files=files.files,
-            # Each look at the disk takes a microsecond or more a file.
+            # Only the last status asks the disk: that takes a microsecond or more for each file.
             files_kept=tuple(files.files_kept if self._ended else files.files_made),
             files_vanished=files.vanished,
             file=files.file,
@@ -427,7 +432,7 @@ class RecordingJob:
         )
 
     def _explain(self, error: OSError) -> OSError:
-        """Return an error of the disk with what became of the bytes."""
+        """Return an error of the disk whose message says what became of the bytes."""
         files = self._files
         elsewhere = files.bytes_passed + files.bytes_vanished
         missing = files.bytes_in - files.bytes_recorded - elsewhere
@@ -443,17 +448,17 @@ class RecordingJob:
         return stopped
 
     def _take(self) -> None:
-        """Count the frames that are decoded, and record the bytes that they came in."""
-        frames = self._room[: self._stream.take_into(self._room)]
+        """Take the frames that are decoded, and record their bytes."""
+        frames = self._batch[: self._stream.take_into(self._batch)]
         files, now = self._files, self._clock()
         self._meter.add(frames, files.bytes_in, time.monotonic())
         triggers = self._find_triggers(frames)
-        self._tell_gaps()
+        self._report_gaps()
         files.advance(self._stream.loop.border, now, triggers)
-        self._tell_files()
+        self._report_files()
 
     def _find_triggers(self, frames: FrameArray) -> list[int]:
-        """Return the times of what is waited for, ascending."""
+        """Return the times of the triggers in these frames and in control packets, ascending."""
         times: list[int] = []
         if self._filters and len(frames):
             times += frames["ts"][match(frames, *self._filters)].tolist()
@@ -462,50 +467,50 @@ class RecordingJob:
         controls, protocol = self._stream.controls, self._stream.decoder.protocol
         while controls:
             offset, data = controls.popleft()
-            said = adapters.report(protocol, data)
-            if said.kind == "error":
+            report = adapters.report(protocol, data)
+            if report.kind == "error":
                 ts = self._files.arrival_of(offset)
-                told = f"the adapter reports error {said.number}"
-                self._event("error", told, ts, number=said.number)
+                message = f"the adapter reports error {report.number}"
+                self._event("error", message, ts, number=report.number)
                 times += [ts] if self._errors else []
         return sorted(times)
 
-    def _event(self, kind: str, told: str, ts: int, **facts: Any) -> None:
-        """Tell of something; `ts`: of the clock that does not step."""
-        self._tell(RecorderEvent(kind, told, self._as_set(ts), **facts))
+    def _event(self, kind: str, message: str, ts: int, **facts: Any) -> None:
+        """Report an event; `ts`: of the clock that does not step."""
+        self._tell(RecorderEvent(kind, message, self._as_set(ts), **facts))
 
     def _as_set(self, ts: int) -> int:
-        """Return a time as the host's clock has it, which may have been set meanwhile."""
+        """Return a time by the host's clock, which may have been set since the port was opened."""
         return ts + self._stream.steps.ahead_ns
 
-    def warn(self, told: str) -> None:
-        """Tell of something that is wrong."""
-        self._event("warning", told, self._clock())
+    def warn(self, message: str) -> None:
+        """Report a warning."""
+        self._event("warning", message, self._clock())
 
     def _clock_was_set(self, step_ns: int) -> None:
         now = self._clock()
         self._files.clock_was_set(step_ns, now)
-        told = f"{self._stream.url}: {describe_step(step_ns)}; {_CLOCK_TEXT}"
-        self._event("clock_set", told, now, step_ns=step_ns)
+        message = f"{self._stream.url}: {describe_step(step_ns)}; {_CLOCK_TEXT}"
+        self._event("clock_set", message, now, step_ns=step_ns)
 
-    def _tell_gaps(self) -> None:
+    def _report_gaps(self) -> None:
         gaps, url = self._stream.gaps, self._stream.url
         while gaps:
             gap = gaps.popleft()
             self._gaps += 1
             self._gaps_unknown += gap.lost < 0
             self._away = gap.reason == "reconnect"
-            told = _gap_text(gap)
+            message = _gap_text(gap)
             if self._away:
-                told += f"; waiting for {url}"
+                message += f"; waiting for {url}"
             facts = {"offset": gap.offset, "lost": gap.lost, "reason": gap.reason}
-            self._event("gap", told, gap.ts, **facts)
+            self._event("gap", message, gap.ts, **facts)
             self._gap_end = self._files.bytes_in
         if self._away and self._files.bytes_in > self._gap_end:
             self._away = False
             self._event("back", f"{url} is back", self._clock())
 
-    def _tell_files(self) -> None:
+    def _report_files(self) -> None:
         files = self._files
         while files.events:
             event = files.events.popleft()
@@ -517,11 +522,11 @@ class RecordingJob:
                 lost=event.lost,
                 renamed=event.renamed,
             )
-        if files.out_of_memory and not self._told_memory:
-            self._told_memory = True
+        if files.out_of_memory and not self._memory_reported:
+            self._memory_reported = True
             self.warn(
-                f"{self._stream.url}: {MEMORY >> 20} MiB are too little for all that came before "
-                "a trigger; less than `before` says is recorded"
+                f"{self._stream.url}: {MEMORY >> 20} MiB are too little for the bytes before "
+                "a trigger; a shorter time than `before` is recorded"
             )
 
 

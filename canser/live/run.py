@@ -1,4 +1,4 @@
-"""A recording as the whole job of a program: `canser.record`."""
+"""A recording as the whole work of a program: `canser.record`."""
 
 import os
 import time
@@ -44,53 +44,65 @@ def record(
 
     Parameters
     ----------
-    url, protocol : str
-        As for `canser.open`.
-    path : str or path
-        A name that ends in `.pcapng`.
-    duration : float, optional
-        Seconds until the end; None: until `stop`, or an error.
+    url : str
+        The port, as for `canser.open`.
+    protocol : str
+        The protocol of the adapter, as for `canser.open`.
+    path : str or path-like
+        The file to record into; its name ends in `.pcapng`.
+    duration : float or None, seconds
+        The time until the recording ends. None: until `stop`, or an error.
     stop : callable, optional
-        Is asked five times a second whether the recording shall end, such as the `is_set` of a
-        `threading.Event`.
+        `stop()` is called five times a second, and returns whether the recording shall end; such
+        as the `is_set` of a `threading.Event`.
     bus_bitrate : int, optional
-        Of the CAN bus in bit/s, for the load and the file, where the adapter is not configured.
+        Bit rate of the CAN bus in bit/s, if the adapter is not configured. It gives the load of
+        the bus, and is noted in the file.
     on_event : callable, optional
-        Is called with each `RecorderEvent`. Without it warnings are those of Python.
+        `on_event(event)` is called with each `RecorderEvent`. Without it Python's warnings report
+        what is wrong.
     on_status : callable, optional
-        Is called with a `RecorderStatus` five times a second, and once at the end, after the file
-        is closed, whatever has ended the recording.
+        `on_status(status)` is called with a `RecorderStatus` five times a second, and once at the
+        end, after the file is closed, whatever has ended the recording.
     **options
-        `bitrate`, `config`, `line`, `ts_unit` and `reconnect` as for `canser.open`; `size`,
-        `time`, `keep`, `triggers`, `before`, `after` and `force` as for `RecordConfig`.
+        The keywords `bitrate`, `config`, `line`, `ts_unit` and `reconnect` of `canser.open`, and
+        the fields of `RecordConfig`: `size`, `time`, `keep`, `triggers`, `before`, `after` and
+        `force`.
 
     Returns
     -------
     RecorderStatus
-        How it has ended.
+        The status at the end.
 
     Raises
     ------
     TypeError, ValueError
         For an argument that is wrong.
     PortNotFoundError, PortDeniedError, PortBusyError, PortError
-        For a port that cannot be opened.
+        If the port cannot be opened, as for `canser.open`.
     PortGoneError
-        When the device is gone, without `reconnect`. All that came before is recorded.
-    OutputExistsError, FileNotFoundError, PermissionError
-        For a path that will not do.
+        When the device is gone, without `reconnect`. All bytes that came before are recorded.
+    OutputExistsError
+        If the file is there already, without `force`.
+    FileNotFoundError, PermissionError
+        If the folder is missing, or must not be written to.
     OSError
-        When the disk is full, or away. The message tells what is recorded.
+        When the disk is full, or away. The message says what is recorded.
     Exception
-        Whatever `stop`, `on_event` and `on_status` raise, and KeyboardInterrupt: they end the
-        recording, and the file is closed.
+        What `stop`, `on_event` and `on_status` raise, and KeyboardInterrupt. The recording ends,
+        and the file is closed.
 
     Examples
     --------
-    >>> import canser
-    >>> status = canser.record("loop://", "seeed", "run.pcapng", duration=0.1)
-    >>> status.bytes_recorded, status.files_kept  # doctest: +SKIP
-    (0, ('run.pcapng',))
+    >>> status = canser.record("loop://", "seeed", "run.pcapng", duration=0.01)
+    >>> status.files, status.bytes_recorded, status.bytes_lost
+    (1, 0, 0)
+
+    Record for days, into files of 100 MB, and keep the newest 20 of them:
+
+    >>> status = canser.record(
+    ...     "/dev/ttyUSB0", "seeed", "run.pcapng", size="100M", keep=20, reconnect=True
+    ... )  # doctest: +SKIP
     """
     seconds = check_seconds(duration, "duration")
     callback(stop, "stop", "nothing")
@@ -117,7 +129,7 @@ def record(
         ts_unit=options.get("ts_unit", "ms"),
         device=url,
     )
-    # Before the port is opened: what is wrong with the path is told, and nothing is made.
+    # Before the port is opened: a path that is wrong raises here, and no file is made yet.
     files = config.make_files(path, info)
     with open_port(url, protocol, **cast(PortOptions, for_port)) as port, port._reading:
         job = RecordingJob(
@@ -125,7 +137,7 @@ def record(
         )
         try:
             with job:
-                _follow(job, seconds, stop, on_status)
+                _record_until(job, seconds, stop, on_status)
                 job.drain(port.close)
         finally:
             status = job.status
@@ -134,17 +146,19 @@ def record(
     return status
 
 
-def _follow(
+def _record_until(
     job: RecordingJob,
     duration: float | None,
     stop: Callable[[], bool] | None,
     on_status: Callable[[RecorderStatus], None] | None,
 ) -> None:
-    def asked() -> bool:
+    """Record in rounds until `duration` seconds are over, or `stop` returns True."""
+
+    def is_stopped() -> bool:
         return stop is not None and stop()
 
-    # Also before there is a file: a program that sees the file can rely on `stop`.
-    stopped = asked()
+    # `stop` is called before there is a file: a program that sees the file can rely on that.
+    stopped = is_stopped()
     job.start()
     end = None if duration is None else time.monotonic() + duration
     while not stopped:
@@ -154,4 +168,4 @@ def _follow(
         job.step(min(left, ROUND_S))
         if on_status is not None:
             on_status(job.status)
-        stopped = asked()
+        stopped = is_stopped()

@@ -1,8 +1,8 @@
-"""Setting an adapter up: its configuration, then requests of its status until it answers.
+"""Setting an adapter up: its configuration, then status requests until it answers.
 
-An analyzer does not listen for 0.7 s after it was opened or plugged in, and swallows the first
-packet behind its configuration (both seen on hardware). Otherwise the first frames of a program
-would be lost.
+Otherwise the first frames of a program would be lost: an analyzer does not listen for 0.7 s after
+it was opened or plugged in, and swallows the first packet behind its configuration (both seen on
+hardware).
 """
 
 import time
@@ -15,35 +15,37 @@ from canser.codec.decoder import Decoder
 
 __all__ = ["SILENCE_S", "Setup"]
 
-# The adapter is asked this often. It is first asked this long after its configuration, too: the
-# pause that its document asks for.
+# The interval of the status requests, and the pause between the configuration and the first one:
+# the pause that the adapter's document asks for.
 _ASK_EVERY_S: Final = 0.1
 
-#: An adapter that has not answered within this time never will.
+#: An adapter that has not answered within this time is never asked again.
 SILENCE_S: Final = 2.0
 
-# In this time after it was opened or plugged in an analyzer does not listen (seen on hardware).
+# An analyzer does not listen for this time after it was opened or plugged in (seen on hardware).
 _DEAF_S: Final = 0.7
 
-# An answer that comes later than this after the last request is not waited for.
+# Answers are taken until this time after the adapter was found to listen. Later ones are not
+# waited for.
 _LATE_S: Final = 1.0
 
-# A write that another thread stood in the way of is tried again after this time.
+# The pause before another try, if the line took nothing or another thread was writing.
 _BUSY_S: Final = 0.01
 
 
 class Setup:
     """The configuration of an adapter, and whether the adapter listens by now.
 
-    `start` follows each writing of `config_packet`, by any thread. The thread that reads the
-    line calls `step` and `take`, as long as it is `active`. Where there is no configuration, or
-    the protocol has no status request, nothing is asked and the adapter is taken to listen.
+    Each thread that writes `config_packet` calls `start` after it. The thread that reads the line
+    calls `step` and `take` while the setup is `active`. Without a configuration, or if the protocol
+    has no status request, the adapter is not asked, and is taken to listen.
 
-    The adapter is asked every 0.1 s. Where it answered the second request or a later one, it may
-    have missed its configuration: that is written again, and the adapter is asked again. So it is
-    where the configuration came while the adapter was still asked because of an earlier one,
-    behind which it may have been swallowed. An adapter that did not answer for 2 s is never asked
-    again: from then on it is taken to listen 0.7 s after it was configured.
+    The adapter is asked every 0.1 s. If it answers the first request, it listens. If it answers a
+    later one, it may have missed its configuration: the configuration is written again, and the
+    adapter is asked again. The same is done if the adapter was still being asked after an earlier
+    configuration, as it may have swallowed the packet behind that one. An adapter that did not
+    answer for 2 s is never asked again: from then on it is taken to listen 0.7 s after each
+    configuration.
     """
 
     def __init__(self, protocol: str, config_packet: bytes) -> None:
@@ -51,13 +53,13 @@ class Setup:
         self._protocol = protocol
         self._request = find_protocol(protocol).status_request
         self._asking: _Asking | None = None
-        self._silent = False  # it did not answer, and is not asked any more
-        self._told = False
+        self._silent = False  # the adapter did not answer, and is not asked any more
+        self._silence_taken = False
         self._answers: set[int] = set()  # the stream offsets of answers that are not decoded yet
 
     @property
     def asks(self) -> bool:
-        """Whether the adapter is asked, or waited for, after its configuration."""
+        """Whether the adapter has to be asked, or waited for, after its configuration."""
         return bool(self.config_packet and self._request)
 
     @property
@@ -68,12 +70,12 @@ class Setup:
 
     @property
     def active(self) -> bool:
-        """Whether `step` and `take` are to be called."""
+        """Whether `step` and `take` have to be called."""
         asking = self._asking
         return asking is not None and not asking.over
 
     def start(self) -> None:
-        """Begin anew: the configuration was written just now."""
+        """Start anew: the configuration was written just now."""
         if self.asks:
             doubtful = not self.listening
             self._asking = _Asking(
@@ -81,9 +83,9 @@ class Setup:
             )
 
     def step(self, now: float, write: Callable[[bytes], bool]) -> float | None:
-        """Write what is due; return in how many seconds the next step is, None for never.
+        """Write the packet that is due; return the seconds until the next step, None for never.
 
-        `now`: of time.monotonic(). `write` returns False where the line takes nothing just now.
+        `now`: of time.monotonic(). `write` returns False if the line takes nothing just now.
         """
         asking = self._asking
         if asking is None or asking.over:
@@ -96,9 +98,9 @@ class Setup:
         return max(asking.next_at - now, 0)
 
     def take(self, data: memoryview, offset: int | None) -> None:
-        """Look for answers among bytes that came.
+        """Look for answers in bytes that came.
 
-        `offset`: that of the first of them in the stream; None where they are thrown away.
+        `offset`: the stream offset of the first byte; None if the bytes are thrown away.
         """
         asking = self._asking
         if asking is None:
@@ -115,7 +117,7 @@ class Setup:
                     self._answers.add(control.offset + shift)
 
     def end(self) -> None:
-        """Take no more status for an answer: from now on another caller asks for it."""
+        """Take no more statuses for answers: from now on they answer another caller."""
         if self._asking is not None and self._asking.listening:
             self._asking.over = True
 
@@ -128,8 +130,8 @@ class Setup:
 
     def take_silence(self) -> bool:
         """Return whether the adapter did not answer, once."""
-        told, self._told = self._told, self._silent
-        return self._silent and not told
+        was_taken, self._silence_taken = self._silence_taken, self._silent
+        return self._silent and not was_taken
 
     def _advance(self, asking: "_Asking", now: float, write: Callable[[bytes], bool]) -> None:
         if asking.heard:
@@ -150,12 +152,15 @@ class Setup:
 
 
 class _Asking:
-    """What has come of the requests behind one configuration, or two. One thread changes it."""
+    """The requests after a configuration, also one that is written twice, and their answers.
+
+    One thread changes it.
+    """
 
     def __init__(self, protocol: str, now: float, *, asks: bool, doubtful: bool) -> None:
         self.decoder = Decoder(protocol)
-        self.doubtful = doubtful  # an earlier configuration may have had this one swallowed
-        self.asked = self.answered = 0
+        self.doubtful = doubtful  # the adapter may have swallowed this configuration
+        self.asked = self.answered = 0  # how often
         self.again = False  # the configuration was written a second time
         self.listening = self.over = False
         self.begin(now)
@@ -163,15 +168,15 @@ class _Asking:
             self.next_at = self.end_at = now + _DEAF_S
 
     def begin(self, now: float) -> None:
-        """Begin to ask: the configuration was written just now."""
+        """Start to ask: the configuration was written just now."""
         self._asked_before, self._answered_before = self.asked, self.answered
         self.next_at, self.end_at = now + _ASK_EVERY_S, now + SILENCE_S
 
     @property
     def heard(self) -> bool:
-        """Whether an answer has come since, and a request stands behind the configuration."""
+        """Whether a request and an answer have followed the last configuration."""
         return self.answered > self._answered_before and self.asked > self._asked_before
 
     def listen(self, now: float) -> None:
-        """Take note that the adapter listens; answers to other requests may still come."""
+        """Note that the adapter listens; answers to other requests may still come."""
         self.listening, self.next_at = True, now + _LATE_S

@@ -1,4 +1,4 @@
-"""Connections over TCP: made within a time, and given up when the other end is silent."""
+"""Connections over TCP: opened with a time-out, and closed when the other end is silent."""
 
 import socket
 import sys
@@ -9,24 +9,24 @@ from canser.errors import PortNotFoundError
 
 __all__ = ["connect", "notice_dead_peer", "server_of"]
 
-# A TCP connection must come about within this time.
+# The longest time until a server accepts a connection.
 _CONNECT_TIMEOUT_S: Final = 5.0
 
-# A peer without power or cable says nothing, and so does one that has nothing to say. After
-# _IDLE_S without a byte the system asks for a sign of life, then every _INTERVAL_S. After _PROBES
-# questions without an answer the connection is dead: 10 + 3 * 2 = 16 s after the last byte.
+# A peer without power or cable is as silent as one that has nothing to send. So the system sends a
+# keep-alive probe after _IDLE_S without a byte, and then every _INTERVAL_S. After _PROBES without
+# an answer the connection is dead: 10 + 3 * 2 = 16 s after the last byte.
 _IDLE_S: Final = 10
 _INTERVAL_S: Final = 2
 _PROBES: Final = 3
 
-# While sent bytes wait for their acknowledgement the system does not ask. Linux then gives up after
-# this time, by default after some 15 minutes. It does so too where the peer answers but takes no
-# bytes for this long.
+# The system sends no probes while sent bytes wait for their acknowledgement. Linux then ends the
+# connection after this time, by default after some 15 minutes. Linux also ends it if the peer
+# answers, but takes no bytes for this time.
 _UNACKNOWLEDGED_MS: Final = 15_000
 
 
 def server_of(url: str) -> tuple[str, int]:
-    """Return the host and the port of a URL, or raise ValueError."""
+    """Return the host and the port number of a URL, or raise ValueError."""
     remedy = f"write {url.partition('://')[0]}://host:port"
     try:
         parts = urlsplit(url)
@@ -50,15 +50,15 @@ def connect(url: str, host: str, number: int) -> socket.socket:
 
 
 def notice_dead_peer(connection: socket.socket) -> None:
-    """Have the system end a connection whose other end does not answer any more."""
+    """Make the system end a connection whose other end does not answer any more."""
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     if sys.platform == "win32" and not hasattr(socket, "TCP_KEEPIDLE"):
-        # Windows 10 before version 1709. Its number of questions is fixed: 10.
+        # Windows 10 before version 1709. Its number of probes is fixed: 10.
         connection.ioctl(socket.SIO_KEEPALIVE_VALS, (1, _IDLE_S * 1000, _INTERVAL_S * 1000))
         return
     options = {
         "TCP_KEEPIDLE": _IDLE_S,
-        "TCP_KEEPALIVE": _IDLE_S,  # the same, as macOS calls it
+        "TCP_KEEPALIVE": _IDLE_S,  # the name of TCP_KEEPIDLE on macOS
         "TCP_KEEPINTVL": _INTERVAL_S,
         "TCP_KEEPCNT": _PROBES,
         "TCP_USER_TIMEOUT": _UNACKNOWLEDGED_MS,  # Linux only
