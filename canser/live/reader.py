@@ -56,7 +56,7 @@ def _choose_rest(share: float) -> float:
 class Sending:
     """Bytes that are being sent, and how many have left: known even if a thread is interrupted.
 
-    `missing(data, n)`: as of `LineReader.write`; None: all of `data` has to go out.
+    `missing(data, n)`: as for `LineReader.write`; None: all of `data` has to go out.
     """
 
     def __init__(

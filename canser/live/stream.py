@@ -135,7 +135,7 @@ class LiveStream:
         begin, start, had = time.monotonic(), self.loop.position, self.ready
         while True:
             self._watch()
-            self.tell_silence(5)
+            self.warn_of_silence(5)
             count = self.decode(most)
             if count >= least:
                 return count
@@ -187,10 +187,10 @@ class LiveStream:
         self.loop.flush(limit)
         self._keep_controls()
         self._assign_times()
-        self.tell_missing()
+        self.report_missing()
         return self.ready
 
-    def tell_missing(self) -> None:
+    def report_missing(self) -> None:
         """Report missing bytes at the end of the stream to `on_bytes`."""
         if self._missing and self.on_bytes is not None:
             self.on_bytes(memoryview(b""), self._arrived, self._missing)
@@ -305,7 +305,7 @@ class LiveStream:
             if self.ring.wait(wanted, soon):
                 return True
             self._watch()
-            self.tell_silence(6)
+            self.warn_of_silence(6)
 
     def _watch(self) -> None:
         """Check whether the ping that went out comes back in time."""
@@ -341,7 +341,7 @@ class LiveStream:
 
     # Warnings
 
-    def tell_silence(self, stacklevel: int) -> None:
+    def warn_of_silence(self, stacklevel: int) -> None:
         """Warn, once, if the adapter did not answer when it was set up.
 
         `stacklevel`: of `warnings.warn`, so that the warning names the user's code.
