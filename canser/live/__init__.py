@@ -1,1 +1,1 @@
-"""Private: live ports: the line, the thread that drains it, frames with host times, sending."""
+"""Private: live ports: the line, the thread that reads it, frames with host times, sending."""

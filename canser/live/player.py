@@ -16,22 +16,23 @@ _Times = npt.NDArray[np.int64]
 
 _MS_NS: Final = 1_000_000
 
-# Frames that are due this soon go out with those that are due: a write for each would cost more
-# than it gains, and what brings them to the bus puts in as much.
+# Frames that are due within this time go out with those that are due now. A write for each frame
+# would cost more than the exact time is worth: the way to the bus adds delays of this size.
 _AHEAD_NS: Final = 1 * _MS_NS
 
-# The most frames that are sent at once. Those behind them are sent after a look at the clock.
+# The most frames of one write. The clock is read again before the next write.
 _BATCH_FRAMES: Final = 256
 
-# A wish to end is heeded within this time.
-_LOOK_S: Final = 0.1
+# The longest sleep, and so the interval at which `wanted` is called.
+_LOOK_EVERY_S: Final = 0.1
 
-# Steps of the recorded time that are no disorder among frames: back, the clock of a device that
-# has started anew, or the next of several recordings; forward, a false time out of noise.
+# Larger steps of the recorded time are jumps, and are passed over. A jump back: the device has
+# started anew, or the next of several recordings begins. A jump forward: a false time by noise.
+# Smaller steps back are frames out of order.
 _BACK_NS: Final = 1_000 * _MS_NS
 _FORWARD_NS: Final = 3_600_000 * _MS_NS
 
-# Bins of 10 microseconds, up to a second and what is beyond.
+# A histogram: bins of 10 microseconds up to one second, and a last one for all beyond.
 _BIN_NS: Final = 10_000
 _BINS: Final = 100_001
 
@@ -40,13 +41,16 @@ _BINS: Final = 100_001
 class Lateness:
     """By how much frames were sent too late or too early, in nanoseconds."""
 
+    #: Frames that were counted.
     count: int = 0
+    #: The sum of all errors.
     total: int = 0
+    #: The largest error.
     most: int = 0
     _bins: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS, np.int64))
 
     def add(self, errors: _Times) -> None:
-        """Count some frames, by when they went out less when they were due."""
+        """Count frames by their errors: when each went out, minus when it was due."""
         sizes = np.abs(errors)
         self.count += len(sizes)
         self.total += int(sizes.sum())
@@ -55,11 +59,11 @@ class Lateness:
 
     @property
     def mean(self) -> float:
-        """The mean; 0 without any frame."""
+        """The mean error; 0 without a frame."""
         return self.total / self.count if self.count else 0.0
 
     def share(self, share: float) -> int:
-        """Return what this share of the frames stays below, to 10 microseconds."""
+        """Return the error below which this share of the frames is, to 10 microseconds."""
         if not self.count:
             return 0
         place = int(np.searchsorted(np.cumsum(self._bins), share * self.count))
@@ -70,28 +74,34 @@ class Lateness:
 class Played:
     """What was sent, and how well its times were kept."""
 
+    #: Frames that were sent.
     frames: int = 0
-    rounds: int = 0  # that were sent to the end
-    untimed: int = 0  # frames without a time, sent right behind those before them
-    jumps: int = 0  # of the recorded clock, passed over without a pause
+    #: Rounds that were sent to the end.
+    rounds: int = 0
+    #: Frames without a time, which were sent together with the frame before.
+    untimed: int = 0
+    #: Jumps of the recorded time, which were passed over without a pause.
+    jumps: int = 0
+    #: By how much the frames were late or early.
     lateness: Lateness = field(default_factory=Lateness)
 
 
 class _Schedule:
-    """When frames are due, nanoseconds from the start of playing."""
+    """When frames are due, in nanoseconds from the start of playing."""
 
     def __init__(self, *, speed: float, gap_ns: int | None) -> None:
         self._speed, self._gap_ns = speed, gap_ns
-        self._before: int | None = None  # the recorded time of the frame before, in this round
-        self._elapsed = 0  # recorded time from the first frame to that one, without jumps
-        self._last = 0 if gap_ns is None else -gap_ns  # when that one is due
+        # Of the frame before.
+        self._before: int | None = None  # its recorded time; None: it was in another round
+        self._elapsed = 0  # recorded time from the first frame to it, without jumps
+        self._last = 0 if gap_ns is None else -gap_ns  # when it is due
 
     def start_round(self) -> None:
-        """Let the next frame follow the last one, whatever its recorded time is."""
+        """Start a round: the next frame is due with the last one, at any recorded time."""
         self._before = None
 
     def due(self, ts: _Times, played: Played) -> _Times:
-        """Return when the next frames are due, one or more."""
+        """Return when the next frames are due; `ts`: their recorded times, one or more."""
         if self._gap_ns is None:
             due = self._by_times(ts, played)
         else:
@@ -107,14 +117,14 @@ class _Schedule:
         if len(times):
             before = int(times[0]) if self._before is None else self._before
             steps = np.diff(times, prepend=before)
-            # Times that are 292 years apart overflow, to any step.
+            # The step between times 292 years apart overflows, and may have any value.
             jumps = (steps < -_BACK_NS) | (steps > _FORWARD_NS)
             played.jumps += int(jumps.sum())
             steps[jumps] = 0
             elapsed = self._elapsed + np.cumsum(steps)
             self._before, self._elapsed = int(times[-1]), int(elapsed[-1])
             due[known] = (elapsed / self._speed).astype(np.int64)
-        # A frame without a time is due with the one before it, and so is one out of order.
+        # A frame without a time, or out of order, is due with the frame before it.
         return np.maximum.accumulate(np.maximum(due, self._last))
 
 
@@ -126,18 +136,26 @@ def play(
     gap_ns: int | None = None,
     wanted: Callable[[], bool] = lambda: True,
 ) -> Played:
-    """Send frames by their times.
+    """Send frames at their recorded times.
 
-    `rounds`: each an iterable of arrays of FRAME_DTYPE; a round follows the one before it at
-    once, and one without a frame is the last.
-    `send` gets the frames that are due, or within a millisecond, in order; their `ts` is when they
-    are due, nanoseconds from the start. `speed`: 2 plays twice as fast. `gap_ns`: this time
-    between two frames, instead of the recorded times. `wanted`: asked ten times a second
-    whether to go on.
+    Deadlines are absolute: a frame that is late does not make later frames late. A frame without a
+    time is due with the frame before it. If the recorded time steps back by more than a second, or
+    forward by more than an hour, the next frame is due without a pause.
 
-    Deadlines are absolute: a frame that is late makes none behind it late. A frame without a
-    time is due with the one before it. Where the recorded time steps back by more than a second,
-    or forward by more than an hour, it goes on from there without a pause.
+    Parameters
+    ----------
+    rounds : iterable of iterables of FrameArray
+        The frames of each round. A round follows the round before it at once. A round without a
+        frame is the last one.
+    send : callable
+        Gets the frames that are due, or due within a millisecond, in order. Their `ts` is when
+        they are due, in nanoseconds from the start.
+    speed : float
+        2 plays twice as fast.
+    gap_ns : int or None
+        The time between two frames, instead of the recorded times.
+    wanted : callable
+        Is called ten times a second, and returns whether to go on.
     """
     if not speed > 0:
         raise ValueError(f"speed is {speed}; it must be more than 0")
@@ -172,7 +190,7 @@ def play(
 
 
 def _batches(frames: FrameArray, begin: int) -> Iterator[FrameArray]:
-    """Yield frames when they are due; none of them now and then while waiting."""
+    """Yield frames when they are due, and an empty array at least every 0.1 s while none is."""
     at = 0
     while at < len(frames):
         now = time.monotonic_ns() - begin
@@ -184,4 +202,4 @@ def _batches(frames: FrameArray, begin: int) -> Iterator[FrameArray]:
             continue
         yield frames[:0]
         left = (int(frames["ts"][at]) - (time.monotonic_ns() - begin)) / 1e9
-        time.sleep(min(max(left, 0), _LOOK_S))
+        time.sleep(min(max(left, 0), _LOOK_EVERY_S))

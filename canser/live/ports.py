@@ -661,8 +661,8 @@ class Port(Uncopied):
         stream = self._make_stream(ring, Decoder(self.protocol, ts_unit=self._ts_unit))
         clock, bitrate = self._clock, self.bitrate  # no reference to the port
 
-        def make_job(tell: OnEvent) -> RecordingJob:
-            return RecordingJob(stream, files, config, clock, bitrate=bitrate, tell=tell)
+        def make_job(report: OnEvent) -> RecordingJob:
+            return RecordingJob(stream, files, config, clock, bitrate=bitrate, on_event=report)
 
         recorder = Recorder(self.url, make_job, self._reader, ring, on_event or warn_of)
         self._recorders.add(recorder)
@@ -737,7 +737,7 @@ class Port(Uncopied):
                 frames["ts"][unknown] = self._clock() - self._opened_ns
         raw = encode(frames, self.protocol, ts_unit=self._ts_unit)
         listens = self._wait_listening(deadline)
-        self._stream.tell_silence(4)
+        self._stream.warn_of_silence(4)
         written, why = 0, _DEAF
         if listens:
             written, why = self._write_frames(frames, raw, deadline, pace=pace)
@@ -937,7 +937,7 @@ class Port(Uncopied):
         )
         if not self._wait_listening(deadline):
             raise no_answer
-        self._stream.tell_silence(4)
+        self._stream.warn_of_silence(4)
         self._setup.end()
         self._stream.status = None
         self.send_raw(request, timeout=_left(deadline))

@@ -318,7 +318,7 @@ class RecordingJob:
     """Read a stream, record its bytes, and report events, in rounds.
 
     A context manager, for one thread: at its end it records the bytes that are held, and closes
-    the file. An OSError of the disk then says what is recorded. `tell` is called with each event.
+    the file. An OSError of the disk then says what is recorded. `on_event` gets each event.
     """
 
     def __init__(
@@ -329,9 +329,9 @@ class RecordingJob:
         clock: HostClock,
         *,
         bitrate: int | None,
-        tell: OnEvent,
+        on_event: OnEvent,
     ) -> None:
-        self._stream, self._files, self._clock, self._tell = stream, files, clock, tell
+        self._stream, self._files, self._clock, self._on_event = stream, files, clock, on_event
         self._filters = [each for each in config.triggers if each != _ERROR]
         self._errors = _ERROR in config.triggers
         self._begin = time.monotonic()
@@ -350,7 +350,7 @@ class RecordingJob:
 
     def __exit__(self, *_: object) -> None:
         try:
-            self._stream.tell_missing()
+            self._stream.report_missing()
             self._files.close()
         finally:
             self._ended = True
@@ -477,7 +477,7 @@ class RecordingJob:
 
     def _event(self, kind: str, message: str, ts: int, **facts: Any) -> None:
         """Report an event; `ts`: of the clock that does not step."""
-        self._tell(RecorderEvent(kind, message, self._as_set(ts), **facts))
+        self._on_event(RecorderEvent(kind, message, self._as_set(ts), **facts))
 
     def _as_set(self, ts: int) -> int:
         """Return a time by the host's clock, which may have been set since the port was opened."""

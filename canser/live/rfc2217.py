@@ -1,8 +1,8 @@
-"""pyserial's client of RFC 2217, with the time-outs of the caller.
+"""pyserial's client of RFC 2217, with the caller's time-outs.
 
-pyserial's own `write` waits 5 s for a server that takes nothing, whatever the caller's time-out.
-After that it raises with a part of the bytes sent, and so do the answers that its thread sends. A
-slow server would be taken for a dead one.
+Otherwise a slow server would be taken for a dead one: pyserial's own `write` waits 5 s for a server
+that takes nothing, whatever the caller's time-out, and then raises with a part of the bytes sent.
+So do the answers that pyserial's thread sends.
 """
 
 import contextlib
@@ -20,41 +20,41 @@ from canser.live.tcp import notice_dead_peer
 
 __all__ = ["Rfc2217Port"]
 
-# Marks a command of telnet. As a byte of data it is doubled.
+# The byte that marks a command of telnet (RFC 854). As a byte of data it is doubled.
 _IAC: Final = b"\xff"
 
-# Bytes that one call of `transmit` sends at most.
-_PIECE: Final = 4096
+# The most bytes that one call of `transmit` sends.
+_SEND_MAX: Final = 4096
 
-# poll() takes no longer time, in milliseconds: an int of C.
+# The longest time for poll(), in milliseconds: an int of C.
 _POLL_MAX_MS: Final = (1 << 31) - 1
 
-# The thread of a connection that was shut down ends at once. It is waited for at most this long.
+# The longest wait for the thread of a connection that was shut down. It ends at once, mostly.
 _THREAD_ENDS_S: Final = 0.2
 
 
 class Rfc2217Port(rfc2217.Serial):
     """A serial port of a server of RFC 2217. One thread receives and one transmits at a time."""
 
-    # Of pyserial's, which its types do not tell.
+    # Attributes of pyserial that its type stubs lack.
     _socket: socket.socket | None
     _network_timeout: float
     _write_lock: Any
     _read_buffer: Any
     _thread: Any
 
-    # Goes out before anything else: the second half of a doubled byte, and commands that the
-    # connection did not take at once.
+    # Bytes that go out before anything else: the second half of a doubled byte, and commands that
+    # the connection did not take at once.
     _owed = b""
 
     def open(self) -> None:
-        """Connect and negotiate; TimeoutError where the server answers too late, or never."""
+        """Connect and negotiate; TimeoutError if the server answers too late, or never."""
         self._owed = b""
         try:
             super().open()
         except serial.SerialException as error:
             if error.__context__ is not None:
-                raise  # what the system says of the connection, or what is wrong with the URL
+                raise  # an error of the connection, or of the URL
             limit = self._network_timeout
             raise TimeoutError(
                 f"its server did not answer within {limit:g} s; is it one of RFC 2217? "
@@ -72,19 +72,19 @@ class Rfc2217Port(rfc2217.Serial):
         self.is_open = False
         if self._socket is None:
             return
-        with contextlib.suppress(OSError):  # the other end was faster
+        with contextlib.suppress(OSError):  # the other end has closed it already
             self._socket.shutdown(socket.SHUT_RDWR)
         if self._thread is not None:
             self._thread.join(_THREAD_ENDS_S)
         self._socket.close()
 
     def reset_output_buffer(self) -> None:
-        """Purge nothing: opening asks for it, and this connection has written nothing yet."""
+        """Do nothing: `open` calls this, and this connection has written nothing yet."""
 
     def receive(self, most: int, timeout: float) -> bytes:
-        """Return what has come, at least one byte; b"" after `timeout` seconds.
+        """Return the bytes that have come, 1 to `most`; b"" after `timeout` seconds.
 
-        OSError when the connection has ended, behind its last byte.
+        OSError when the connection has ended, after its last byte was returned.
         """
         came, data = self._read_buffer, bytearray()
         with contextlib.suppress(queue.Empty):
@@ -99,7 +99,7 @@ class Rfc2217Port(rfc2217.Serial):
         return bytes(data)
 
     def _telnet_read_loop(self) -> None:
-        """Read in a thread; whatever ends that, a command that makes no sense too, is the end."""
+        """Read in a thread; any exception ends the stream, also one for an impossible command."""
         try:
             with contextlib.suppress(Exception):
                 super()._telnet_read_loop()  # type: ignore[misc]
@@ -107,16 +107,16 @@ class Rfc2217Port(rfc2217.Serial):
             self._read_buffer.put(None)
 
     def transmit(self, data: memoryview, timeout: float | None) -> int:
-        """Send what the connection takes, return how many bytes; 0 after `timeout` seconds.
+        """Send what the connection takes; return how many bytes, 0 after `timeout` seconds.
 
         OSError when the connection has ended.
         """
         deadline = None if timeout is None else time.monotonic() + timeout
-        wire = bytes(data[:_PIECE]).replace(_IAC, _IAC * 2)
+        wire = bytes(data[:_SEND_MAX]).replace(_IAC, _IAC * 2)
         while True:
             with self._write_lock:
                 sent = self._send(wire)
-                halves = wire[:sent].count(_IAC)
+                halves = wire[:sent].count(_IAC)  # an odd number: a doubled byte is cut
                 self._owed += _IAC * (halves % 2)
             if sent:
                 return sent - halves // 2
@@ -126,12 +126,12 @@ class Rfc2217Port(rfc2217.Serial):
 
     @property
     def out_waiting(self) -> int:
-        """How many bytes have yet to go to the system; only what is owed is known."""
+        """How many bytes the system has not taken yet; what the system holds is not known."""
         self._internal_raw_write(b"")
         return len(self._owed)
 
     def _internal_raw_write(self, data: bytes) -> None:
-        """Send a command, now or before the next bytes: pyserial's thread must not wait here."""
+        """Send a command now, or else before the next bytes: pyserial's thread must not wait."""
         with self._write_lock:
             sent = self._send(data)
             self._owed += data[sent:]
@@ -152,6 +152,6 @@ def _writable(connection: socket.socket | None, timeout: float | None) -> bool:
     assert connection is not None
     if sys.platform == "win32":
         return bool(select.select([], [connection], [], timeout)[1])
-    poll = select.poll()  # and not select(), which ends at 1023 descriptors
+    poll = select.poll()  # and not select(), which takes no descriptor above 1023
     poll.register(connection, select.POLLOUT)
     return bool(poll.poll(None if timeout is None else min(timeout * 1000, _POLL_MAX_MS)))

@@ -133,7 +133,7 @@ def record(
     files = config.make_files(path, info)
     with open_port(url, protocol, **cast(PortOptions, for_port)) as port, port._reading:
         job = RecordingJob(
-            port._stream, files, config, port._clock, bitrate=bitrate, tell=on_event or warn_of
+            port._stream, files, config, port._clock, bitrate=bitrate, on_event=on_event or warn_of
         )
         try:
             with job:

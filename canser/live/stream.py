@@ -23,41 +23,42 @@ from canser.timing.loop import TimedDecoder
 
 __all__ = ["LiveStream", "OnBytes", "Watchdog"]
 
-# Called with the bytes of each read, the time at which they had arrived, and the number of bytes
-# that are missing before them (-1: it is unknown). At the end of a stream without bytes, where
-# the last ones are missing.
+# `on_bytes(data, arrival_ns, lost)`: the bytes of a read, when they had arrived in epoch
+# nanoseconds, and the number of bytes that are missing before them (-1: it is unknown). If the last
+# bytes of a stream are missing, a call without bytes reports that.
 OnBytes = Callable[[memoryview, int, int], None]
 
-# Frames that are decoded at once, where a caller has not asked for more.
-_ROOM: Final = 4096
+# Room for frames, unless a caller asks for more.
+_ROOM_FRAMES: Final = 4096
 
-# A wrong baud rate or protocol is told from noise by this many bytes at a time.
+# The share of skipped bytes is checked each time that this many bytes have come. A large share
+# means a wrong baud rate or protocol.
 _WRONG_BYTES: Final = 4096
 
-# Control packets and gaps that are not taken: the newest ones are kept, this many of each.
+# The most control packets, and the most gaps, that are kept for a caller: the newest ones.
 _KEPT: Final = 1 << 16
 
-# A lost ping is looked for in this many bytes at a time.
-_SEARCH: Final = 1 << 16
+# Bytes in which a ping is looked for at a time.
+_SEARCH_BYTES: Final = 1 << 16
 
 # A ping that has not come back after this many periods is lost.
 _PATIENCE_PERIODS: Final = 2.5
 
-# While an adapter is set up, a wait looks this often whether the adapter has answered.
+# While an adapter is set up, a wait checks at this interval whether the adapter has answered.
 _LOOK_EVERY_S: Final = 0.1
 
-# The time between two looks at whether the host's clock was set.
+# The interval of checks whether the host's clock was set.
 _CLOCK_S: Final = 1.0
 
-# Frames come soon if they are due within this time, at the rate of those before.
+# Frames come soon if they are due within this time, at the rate of the frames before.
 _SOON_S: Final = 0.02
 
 
 class Watchdog:
-    """What a stream knows of the pings that go out.
+    """The pings that go out, as a stream has to know them.
 
-    `ping_s`: seconds between them. `now` and `last_ping` give epoch nanoseconds: the time, and
-    when the last ping went out on this line, 0 for none.
+    `ping_s`: seconds between two pings. `now` returns the time, and `last_ping` when the last ping
+    went out on this line, 0 for none; both in epoch nanoseconds.
     """
 
     def __init__(self, ping_s: float, now: Callable[[], int], last_ping: Callable[[], int]) -> None:
@@ -65,12 +66,12 @@ class Watchdog:
 
 
 class LiveStream:
-    """Decode what a ring holds. Not safe for two threads: its owner takes a lock.
+    """Decode the bytes of a ring. Not safe for two threads: the owner must take a lock.
 
-    Frames are decoded into an array of the stream's own, and stay there until they are taken:
+    Frames are decoded into an array of the stream's own, and stay there until they are taken. So
     no exception, of `on_bytes` or by Ctrl-C, loses a byte or a frame.
 
-    `steps`: of the system's clock, against the one that times in the ring are of.
+    `steps`: the steps of the system's clock, compared to the clock of the times in the ring.
     """
 
     def __init__(
@@ -92,48 +93,49 @@ class LiveStream:
         self.url, self._watchdog, self._setup = url, watchdog, setup
         row = find_protocol(self.decoder.protocol)
         self._frame_min = row.frame_min
-        self._frames = np.empty(_ROOM, FRAME_DTYPE)
-        self._taken = 0  # of the frames in there
+        self._frames = np.empty(_ROOM_FRAMES, FRAME_DTYPE)
+        self._taken = 0  # frames of the array that are taken
         loop.use(self._frames)
-        self._untold: deque[Read] = deque()  # not given to `on_bytes` yet
+        self._new_reads: deque[Read] = deque()  # not given to `on_bytes` yet
         self._missing = 0  # bytes lost before the next read; -1: it is unknown how many
         self._ping = b"" if watchdog is None else row.ping
-        self._asked = 0  # when the ping went out that shall come back; 0 for none
-        self._answered = 0  # when the last ping came back
+        # Epoch nanoseconds.
+        self._ping_sent = 0  # when the ping went out that shall come back; 0 for none
+        self._ping_back = 0  # when the last ping came back
         self._arrived = 0  # when the last read had arrived
-        self._fresh = False  # reads have come of which no frame has its time yet
-        self._searching = False  # the ping is lost: look for it among the bytes
-        self._looked = (0, 0)  # bytes in and skipped when the share was last looked at
+        self._fresh = False  # whether reads have come since frames got their times
+        self._searching = False  # the ping is lost: look for it in the bytes
+        self._checked = (0, 0)  # bytes in and bytes skipped at the last check of their share
         self._warned: set[str] = set()
         self.steps, self._steps_due = steps, 0.0
         # None: Python's warnings.
         self.on_warning: Callable[[str], None] | None = None
-        self.on_clock_set: Callable[[int], None] | None = None  # given nanoseconds forward
+        self.on_clock_set: Callable[[int], None] | None = None  # of nanoseconds forward
 
     # Frames
 
     @property
     def ready(self) -> int:
-        """Frames that are decoded and not taken."""
+        """The number of frames that are decoded and not taken."""
         return self.loop.count - self._taken
 
     def take_into(self, out: FrameArray) -> int:
-        """Move frames that are ready to `out`; return how many."""
+        """Move frames that are ready into `out`; return how many."""
         count = min(self.ready, len(out))
         put_records(out[:count], self._frames[self._taken : self._taken + count])
         self._taken += count
         return count
 
     def read(self, most: int, least: int, deadline: float | None) -> int:
-        """Decode what the ring holds, until `most` frames are ready; return how many are.
+        """Decode the bytes of the ring until `most` frames are ready; return how many are.
 
-        Waits for `least`, until the deadline (of time.monotonic(); None: for ever). Raises
-        what has ended the stream, after all that came before is taken.
+        Waits until `least` are, or until the deadline (of time.monotonic(); None: for ever).
+        Raises the error that has ended the stream, after all frames before it are taken.
         """
         begin, start, had = time.monotonic(), self.loop.position, self.ready
         while True:
             self._watch()
-            self.tell_silence(5)
+            self.warn_of_silence(5)
             count = self.decode(most)
             if count >= least:
                 return count
@@ -145,8 +147,8 @@ class LiveStream:
                 raise error
             missing, came = least - count, self.loop.position - start
             if came and count > had:
-                # Where all will be there soon, wait for the bytes that they have on average:
-                # waking for the fewest that may do would be many times for nothing.
+                # If the missing frames will come soon, wait for their mean number of bytes. To wait
+                # for the smallest possible number would wake this thread many times in vain.
                 now = time.monotonic()
                 soon = now + (now - begin) * missing / (count - had)
                 if (
@@ -157,50 +159,53 @@ class LiveStream:
                     continue
             wanted = missing * self._frame_min - self.decoder.pending
             if not self._wait(max(wanted, 1), deadline):
-                # Less than was hoped for may still be some.
+                # The bytes that have come may hold some frames.
                 return self.decode(most)
 
     def decode(self, most: int) -> int:
-        """Decode what the ring holds, until `most` frames are ready; return how many are."""
+        """Decode the bytes of the ring until `most` frames are ready; return how many are.
+
+        Does not wait.
+        """
         limit = self._make_room(most)
         try:
             self._decode(limit)
         except BaseException:
-            # It may have come behind the decoder's work, and before what is done for that.
+            # The decoder may have taken bytes. Otherwise they would be decoded a second time.
             self.ring.release_to(self.loop.position)
             self._keep_controls()
             self._assign_times()
             raise
         self._assign_times()
-        self._look_at_share()
-        self._look_at_clock()
+        self._check_share()
+        self._check_clock()
         return self.ready
 
     def _end(self, most: int) -> int:
-        """End the stream: decode what is held, too, and tell of bytes that are missing."""
+        """End the stream: decode the bytes that are held, too, and report missing bytes."""
         limit = self._make_room(most)
         self.loop.flush(limit)
         self._keep_controls()
         self._assign_times()
-        self.tell_missing()
+        self.report_missing()
         return self.ready
 
-    def tell_missing(self) -> None:
-        """Tell `on_bytes` of missing bytes that no others have followed."""
+    def report_missing(self) -> None:
+        """Report missing bytes at the end of the stream to `on_bytes`."""
         if self._missing and self.on_bytes is not None:
             self.on_bytes(memoryview(b""), self._arrived, self._missing)
             self._missing = 0
 
     def _make_room(self, most: int) -> int:
-        """Make room for `most` frames that are not taken, or for as many as the ring may hold.
+        """Make room for `most` frames that are not taken, or for those that the ring can hold.
 
-        Returns where they end in the array.
+        Returns the place in the array where the room ends.
         """
         loop = self.loop
         count = loop.count
         ready = count - self._taken
         if loop.timed < count:
-            loop.assign_times()  # an exception came before that
+            loop.assign_times()  # an exception has prevented it before
         if self._taken and not ready:
             loop.restart()
             self._taken = 0
@@ -213,36 +218,36 @@ class LiveStream:
         return self._taken + most
 
     def _decode(self, limit: int) -> None:
-        """Decode what the ring holds until the array has `limit` frames."""
+        """Decode the bytes of the ring until the array has `limit` frames."""
         loop, ring = self.loop, self.ring
         while not ring.idle and loop.count < limit:
             data = self._peek()
             if not len(data):
                 if ring.at_gap:
-                    self._flush(limit)  # it will never be whole
+                    self._flush(limit)  # the packet that is held will never be whole
                 if self.decoder.pending or (gap := ring.take_gap()) is None:
                     break
                 self._pass(gap)
                 continue
-            if self._searching and (at := bytes(data[:_SEARCH]).find(self._ping)) >= 0:
+            if self._searching and (at := bytes(data[:_SEARCH_BYTES]).find(self._ping)) >= 0:
                 if at == 0:
                     self._flush(limit)
                     self._searching = bool(self.decoder.pending)
                     continue
                 data = data[:at]
             elif self._searching:
-                data = data[:_SEARCH]
+                data = data[:_SEARCH_BYTES]
             loop.feed(data, limit)
             ring.release_to(loop.position)
             self._keep_controls()
 
     def _peek(self) -> memoryview:
-        """Return the next bytes of the ring, and tell of those that are new."""
+        """Return the next bytes of the ring; give new ones to `on_bytes` and to the clock."""
         data, reads = self.ring.peek()
         begin = self.loop.position
-        self._untold.extend(reads)
-        while self._untold:  # some may be left by an exception
-            read = self._untold.popleft()
+        self._new_reads.extend(reads)
+        while self._new_reads:  # an exception may have left some
+            read = self._new_reads.popleft()
             self.loop.clock.arrivals.add(read.end, read.ns)
             self._arrived = read.ns
             self._fresh = True
@@ -256,16 +261,16 @@ class LiveStream:
         self._keep_controls()
 
     def _pass(self, gap: Gap) -> None:
-        """Go on behind a gap."""
+        """Note a gap, and go on behind it."""
         self.loop.gap()
         self.gaps.append(gap)
         self._arrived = max(self._arrived, gap.ts)
         self._missing = -1 if -1 in (gap.lost, self._missing) else self._missing + gap.lost
         if gap.reason == "reconnect":
-            self._asked, self._searching = 0, False
+            self._ping_sent, self._searching = 0, False
 
     def _assign_times(self) -> None:
-        """Give the frames that are new their times."""
+        """Give new frames their times."""
         if self._fresh or self.loop.timed < self.loop.count:
             self._fresh = False
             self.loop.assign_times()
@@ -281,7 +286,7 @@ class LiveStream:
             self.controls.append(control)
             report = adapters.report(self.decoder.protocol, control.data)
             if report.kind == "ping":
-                self._answered = self._arrived
+                self._ping_back = self._arrived
                 self._searching = False
             elif report.kind == "status":
                 self.status = report
@@ -289,7 +294,7 @@ class LiveStream:
     # Waiting
 
     def _wait(self, wanted: int, deadline: float | None) -> bool:
-        """Wait for bytes; see meanwhile whether the adapter answers what it is asked."""
+        """Wait for bytes; check meanwhile whether the adapter answers pings and requests."""
         while True:
             pause = math.inf if self._watchdog is None else self._watchdog.ping_s
             if self._setup is not None and self._setup.active:
@@ -300,21 +305,22 @@ class LiveStream:
             if self.ring.wait(wanted, soon):
                 return True
             self._watch()
-            self.tell_silence(6)
+            self.warn_of_silence(6)
 
     def _watch(self) -> None:
-        """See whether the ping that went out comes back in time."""
-        dog = self._watchdog
-        if dog is None:
+        """Check whether the ping that went out comes back in time."""
+        watchdog = self._watchdog
+        if watchdog is None:
             return
-        now, last_ping = dog.now(), dog.last_ping()
-        if self._answered >= self._asked:
-            self._asked = last_ping if last_ping > self._answered else 0
-        if not self._asked or not last_ping or self._searching:
+        now, last_ping = watchdog.now(), watchdog.last_ping()
+        if self._ping_back >= self._ping_sent:
+            self._ping_sent = last_ping if last_ping > self._ping_back else 0
+        if not self._ping_sent or not last_ping or self._searching:
             return
-        # Up to when the bytes are known: those that wait may hold it.
+        # Bytes that wait in the ring may hold the ping: then only the time until the last read
+        # counts.
         seen = self._arrived if len(self.ring) else now
-        if seen - self._asked > dog.ping_s * _PATIENCE_PERIODS * 1e9:
+        if seen - self._ping_sent > watchdog.ping_s * _PATIENCE_PERIODS * 1e9:
             self._searching = True
             self.gaps.append(Gap(self.decoder.position, -1, seen, "watchdog"))
             self._warn(
@@ -324,21 +330,21 @@ class LiveStream:
             )
 
     def end_error(self) -> Exception | None:
-        """Return what has ended the stream, if all that came before is taken."""
+        """Return the error that has ended the stream; None until all before the end is taken."""
         error = self.ring.error
         if error is None:
             return None
-        # A new one: it may be raised again and again, in several threads.
+        # A new object, as the error may be raised many times, in several threads.
         if isinstance(error, PortError):
             return type(error)(str(error))
         return PortError(f"{self.url}: {type(error).__name__} {error}".rstrip())
 
     # Warnings
 
-    def tell_silence(self, stacklevel: int) -> None:
-        """Warn, once, that the adapter did not answer when it was set up.
+    def warn_of_silence(self, stacklevel: int) -> None:
+        """Warn, once, if the adapter did not answer when it was set up.
 
-        `stacklevel`: how far the user's code is from `warnings.warn`.
+        `stacklevel`: of `warnings.warn`, so that the warning names the user's code.
         """
         if self._setup is not None and self._setup.take_silence():
             self._warn(
@@ -349,22 +355,23 @@ class LiveStream:
                 stacklevel=stacklevel,
             )
 
-    def _look_at_share(self) -> None:
-        position, (bytes_in, skipped) = self.loop.position, self._looked
+    def _check_share(self) -> None:
+        """Warn if too large a share of the last bytes was skipped."""
+        position, (bytes_in, skipped) = self.loop.position, self._checked
         if position - bytes_in < _WRONG_BYTES:
             return
-        self._looked = position, self.decoder.skipped
-        came, bad = position - bytes_in, self._looked[1] - skipped
-        if is_doubtful(self.decoder.protocol, came, bad):
-            share = bad / came
+        self._checked = position, self.decoder.skipped
+        came, came_skipped = position - bytes_in, self._checked[1] - skipped
+        if is_doubtful(self.decoder.protocol, came, came_skipped):
+            share = came_skipped / came
             self._warn(
                 "share",
                 f"{self.url}: {share:.0%} of the bytes are in no {self.decoder.protocol} frame; "
                 "are the baud rate and the protocol right?",
             )
 
-    def _look_at_clock(self) -> None:
-        """See whether the host's clock was set; tell each time that it was."""
+    def _check_clock(self) -> None:
+        """Check whether the host's clock was set; report each time that it was."""
         now = time.monotonic()
         if now < self._steps_due:
             return
@@ -382,7 +389,7 @@ class LiveStream:
         )
 
     def _warn(self, kind: str, text: str, *, stacklevel: int = 6) -> None:
-        """Warn, once of each kind; of "" each time."""
+        """Warn: once of each kind, but every time of the kind ""."""
         if kind in self._warned:
             return
         if kind:

@@ -17,16 +17,16 @@ MessageRow: TypeAlias = tuple[float, int, bool, bool, bool, None, int, bytearray
 def to_rows(frames: FrameArray) -> Iterator[MessageRow]:
     """Return the arguments of a `Message` for each frame.
 
-    A time in seconds is the float that is nearest; one that is not known is 0, as that of a
-    new `Message`. The channel is None, as python-can's own serial buses leave it. Each has
-    a bytearray of its own, which `Message` takes as it is.
+    A time is the nearest float, in seconds; a time that is not known is 0, as in a new `Message`.
+    The channel is None, as in messages of python-can's own serial buses. Each row has a bytearray
+    of its own, as `Message` does not copy it.
     """
     ts = frames["ts"] / 1e9
     ts[frames["ts"] == NO_TIME] = 0.0
     dlc = frames["dlc"].tolist()
     starts = range(0, 8 * len(frames), 8)
-    # One copy of all, cut by what is written in C: a loop in Python would cost more than
-    # the messages do.
+    # One copy of all data, cut by functions that are written in C. A loop in Python would take
+    # longer than the messages do.
     data = bytearray(frames["data"].tobytes())
     return zip(
         ts.tolist(),

@@ -33,40 +33,41 @@ __all__ = ["CanserBus"]
 
 _LOG: Final = logging.getLogger("can.canser")
 
-# What python-can's tools and configuration files give to every bus, and means nothing here.
+# Options that python-can's tools and configuration files give to every bus. They mean nothing here.
 _MEANINGLESS: Final = {"fd", "single_handle", "timeout"}
 
-# Frames taken from the port at a time.
+# The most frames that are taken from the port at once.
 _BATCH: Final = 4096
 
-# How long `shutdown` waits for the line to send what it has taken.
+# The longest time that `shutdown` waits for the line to send its bytes.
 _DRAIN_S: Final = 1.0
 
 # Timestamps in this range are epoch seconds; smaller ones are device seconds.
 _EPOCH_FROM_S: Final = 1_000_000_000
 _EPOCH_TO_S: Final = 1 << 32
 
+# The device's clock counts this many ticks, and starts again: a counter of 32 bits.
 _TICKS: Final = 1 << 32
 
-# A filter's id and mask, and the kind of frame that it wants, None for any.
+# Of a filter: its id, its mask, and whether frames must be extended, None for any.
 _Rule = tuple[np.int64, np.int64, bool | None]
 
 
 def _take_fields(kind: type[AdapterConfig | LineConfig], options: dict[str, Any]) -> dict[str, Any]:
-    """Take the options out that are fields of a value object, and return them."""
+    """Remove the options that are fields of a value object, and return them."""
     names = {field.name for field in fields(kind)} & options.keys()
     return {name: options.pop(name) for name in names}
 
 
 class _Descriptor(int):
-    """A number that takes attributes: python-can's test of its serial bus sets one on it."""
+    """A descriptor that takes attributes: python-can's test of its serial bus sets one on it."""
 
 
 class _UntilShutdown:
     """A bus for the threads that send periodically.
 
-    They are told to stop before the port is closed, and not waited for. A thread that is about
-    to send just then must not fail.
+    `shutdown` makes them stop, and does not wait for them. Otherwise a thread that sends just then
+    would fail, as the port is closed.
     """
 
     def __init__(self, bus: can.BusABC) -> None:
@@ -81,14 +82,29 @@ class _UntilShutdown:
 
 
 class CanserBus(Uncopied, can.BusABC):
-    """A serial CAN adapter as a bus of python-can.
+    """A serial CAN adapter as a bus of python-can: `can.Bus(interface="canser", ...)`.
 
-    Messages carry the times that python-can's own bus of the format gives: those of the
-    device's clock in seconds where the format has one, else the host's, since 1970.
-    As there, their channel is None. `port` is the `canser.Port` beneath, with its counters.
+    Attributes
+    ----------
+    port : canser.Port
+        The port of the bus, with its counters.
 
-    As every bus of python-can it may send and receive in two threads at once; a
-    `can.ThreadSafeBus` may be used by more.
+    Notes
+    -----
+    Messages have the times and the channel that python-can's own bus of the protocol gives. Times
+    are those of the device's clock in seconds, if the protocol has one, else epoch seconds of the
+    host. The channel is None.
+
+    As with every bus of python-can, one thread may send while another one receives. Use a
+    `can.ThreadSafeBus` for more threads.
+
+    Examples
+    --------
+    >>> import can
+    >>> with can.Bus(interface="canser", channel="loop://", protocol="seeed") as bus:
+    ...     bus.send(can.Message(arbitration_id=0x123, data=[1], is_extended_id=False))
+    ...     bus.recv(timeout=1.0).arbitration_id
+    291
     """
 
     def __init__(
@@ -111,25 +127,27 @@ class CanserBus(Uncopied, can.BusABC):
         can_filters : list of dict, optional
             As for any bus of python-can.
         protocol : str
-            What the adapter speaks: a name of `canser.protocols()` or an accepted spelling.
-        ts_unit, reconnect
-            As for `canser.open`.
+            The protocol of the adapter: a name of `canser.protocols()` or an accepted spelling.
+        ts_unit : {"ms", "us", "ns", "s"}, default "ms"
+            Unit of the device's clock, as for `canser.open`.
         device_time : bool, optional
-            Whether messages have times of the device's clock, or all of the host's; by default
-            of the device's where the format has one.
+            Whether messages have times of the device's clock; False: times of the host. By default
+            True if the protocol has a clock.
+        reconnect : bool, default False
+            Whether the port waits for a device that is gone, as for `canser.open`.
         **options
-            The fields of `canser.AdapterConfig`, of which `bitrate` is needed to configure the
-            adapter, and of `canser.LineConfig`. Any other option is left alone, as python-can's
-            buses do, and the log names it.
+            The fields of `canser.AdapterConfig` and of `canser.LineConfig`. To configure the
+            adapter `bitrate` is needed. Other options are ignored, as by python-can's own buses,
+            and the log names them.
 
         Raises
         ------
         TypeError, ValueError
-            For a value that is not possible.
+            For an argument that is wrong.
         can.CanInitializationError
-            For a port that cannot be opened.
+            If the port cannot be opened.
         can.CanInterfaceNotImplementedError
-            Without pyserial.
+            If pyserial is missing.
         """
         if not isinstance(channel, str):
             raise TypeError(f"channel is {channel!r}; it must be the URL of a port, such as COM3")
@@ -142,7 +160,7 @@ class CanserBus(Uncopied, can.BusABC):
         self._config = flat_config(_take_fields(AdapterConfig, options))
         line = LineConfig(**_take_fields(LineConfig, options))
         for name in options.keys() - _MEANINGLESS:
-            _LOG.warning("%s means nothing to the interface canser and is left alone", name)
+            _LOG.warning("%s means nothing to the interface canser and is ignored", name)
         row = find_protocol(protocol)
         self._clocked, self._unit, self._tick_ns = row.has_clock, ts_unit, tick_ns(ts_unit)
         try:
@@ -163,9 +181,9 @@ class CanserBus(Uncopied, can.BusABC):
         self._can_protocol = can.CanProtocol.CAN_20
         self._rules: list[_Rule] = []
         self._queue: deque[MessageRow] = deque()
-        self._active_filters: object = None  # the filters that all in the queue have passed
-        self._watched = False  # `fileno` has given the descriptor to a caller
-        self._lock = Lock()  # for the queue as a whole; not held during a wait
+        self._active_filters: object = None  # the filters that all frames in the queue have passed
+        self._watched = False  # whether a caller has asked `fileno` for the descriptor
+        self._lock = Lock()  # for several steps on the queue; not held during a wait
         try:
             super().__init__(channel, can_filters)
         except BaseException:
@@ -176,20 +194,20 @@ class CanserBus(Uncopied, can.BusABC):
         if not self._queue:
             self._fill(timeout)
         try:
-            row = self._queue.popleft()  # a single step: no lock is needed
+            row = self._queue.popleft()  # atomic: needs no lock
         except IndexError:
             return None, True
         if self._watched and not self._queue:
             self._set_ready()
-        # If the filters have changed meanwhile python-can applies the new ones.
+        # False: the filters have changed since, and python-can applies the new ones.
         return can.Message(*row), self._active_filters is self._filters
 
     def _fill(self, timeout: float | None) -> None:
-        """Put frames that pass the filters into the queue, or none after the time-out."""
+        """Put the next frames that pass the filters into the queue; none after the time-out."""
         filters = self._filters
         frames = self._read(_BATCH, timeout)
         with self._lock:
-            # Another thread may have put some there, by other filters.
+            # Another thread may have put frames into the queue that passed other filters.
             same = not self._queue or filters is self._active_filters
             self._active_filters = filters if same else None
             self._queue.extend(to_rows(frames))
@@ -197,7 +215,7 @@ class CanserBus(Uncopied, can.BusABC):
             self._set_ready()
 
     def _read(self, max_frames: int, timeout: float | None) -> FrameArray:
-        """Return frames that pass the filters, at least one before the time-out."""
+        """Return the next frames that pass the filters; none after the time-out."""
         timeout = check_timeout(timeout)
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
@@ -214,11 +232,26 @@ class CanserBus(Uncopied, can.BusABC):
             timeout = None if deadline is None else deadline - time.monotonic()
 
     def recv_batch(self, *, max_frames: int = _BATCH, timeout: float | None = None) -> FrameArray:
-        """Return the next frames, at most `max_frames`, as an array of `canser.FRAME_DTYPE`.
+        """Return the next frames as an array. A frame comes either here or as a message.
 
-        Waits for the first frame that passes the filters, at most `timeout` seconds
-        (None: for ever); then there may be none. A frame comes either here or as a message.
-        CanOperationError when the device is gone or the bus is shut down.
+        Parameters
+        ----------
+        max_frames : int, default 4096
+            The most frames to return, 1 or more.
+        timeout : float or None, seconds
+            The longest wait for the first frame that passes the filters; None waits for ever.
+
+        Returns
+        -------
+        canser.FrameArray, shape (n,)
+            The frames that pass the filters. After the time-out n may be 0.
+
+        Raises
+        ------
+        TypeError, ValueError
+            For an argument that is wrong.
+        can.CanOperationError
+            When the device is gone, or the bus is shut down.
         """
         max_frames = whole(max_frames, "max_frames", "4096", least=1)
         if not self._queue:
@@ -242,7 +275,7 @@ class CanserBus(Uncopied, can.BusABC):
         ]
 
     def _passes(self, frames: FrameArray) -> npt.NDArray[np.bool_]:
-        """Mark the frames that pass any of the filters, by python-can's rule."""
+        """Return a mask of the frames that pass any of the filters, by python-can's rule."""
         ids = frames["id"].astype(np.int64)
         passed = np.zeros(len(frames), np.bool_)
         for wanted, mask, extended in self._rules:
@@ -253,26 +286,57 @@ class CanserBus(Uncopied, can.BusABC):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a message; returns when the system has taken it.
 
-        `timeout`: seconds to wait for that, None for as long as it takes. An adapter that was
-        configured just now is waited for until it listens, and where the bit rate is known the
-        bus sets the pace, as for `canser.Port.send`. Where the format
-        has a time it is the message's, in ticks of the device's clock; a time of day, that is
-        one from 1,000,000,000 seconds on, modulo 2**32 ticks.
+        Parameters
+        ----------
+        msg : can.Message
+            The message. If the protocol has a clock, its timestamp is sent in ticks of that clock;
+            epoch seconds, from 1,000,000,000 on, are sent modulo 2**32 ticks.
+        timeout : float or None, seconds
+            The longest time for the call; None waits for ever.
 
-        ValueError for what the format cannot carry: CAN FD, ids and times out of range,
-        data that is not as long as the dlc says, error frames where the format has none.
-        CanTimeoutError if it cannot go out in time, CanOperationError if the
-        device is gone or the bus is shut down.
+        Raises
+        ------
+        ValueError
+            If the protocol cannot carry the message: CAN FD, an id or a time out of range, data
+            that is not as long as the dlc says, an error frame in a protocol without these.
+        can.CanTimeoutError
+            If the message does not go out in time.
+        can.CanOperationError
+            When the device is gone, or the bus is shut down.
+
+        Notes
+        -----
+        The call waits until a configured adapter listens. If the bit rate is known, frames go out
+        no faster than the bus sends them. Both are as for `canser.Port.send`.
         """
         ts = self._ticking(msg.timestamp) if self._clocked else NO_TIME
         self._send(rows_to_frames([message_to_row(msg, ts)]), timeout)
 
     def send_batch(self, frames: FrameArray, *, timeout: float | None = None) -> int:
-        """Send frames, an array of `canser.FRAME_DTYPE`, as `canser.Port.send`; return how many.
+        """Send frames, as `canser.Port.send` does.
 
-        ValueError for a frame that the format cannot carry: nothing is sent then.
-        CanTimeoutError and CanOperationError as for `send`; their cause is the SendError
-        that tells how many frames went out.
+        Parameters
+        ----------
+        frames : canser.FrameArray, shape (n,)
+            The frames, contiguous.
+        timeout : float or None, seconds
+            The longest time for the whole call; None waits for ever.
+
+        Returns
+        -------
+        int
+            The number of frames, n. All of them are sent.
+
+        Raises
+        ------
+        TypeError, ValueError
+            For an argument that is wrong, or a frame that the protocol cannot carry. Nothing is
+            sent then.
+        can.CanTimeoutError
+            If the frames do not go out in time. Its cause is a `canser.SendError`, whose `sent` is
+            the number of frames that went out.
+        can.CanOperationError
+            When the device is gone, with such a cause, or the bus is shut down.
         """
         return self._send(frames, timeout)
 
@@ -280,7 +344,7 @@ class CanserBus(Uncopied, can.BusABC):
         try:
             return self.port.send(frames, timeout=timeout)
         except SendTimeoutError as error:
-            # What has begun to go out goes out whole, before anything else.
+            # All are sent, but for the rest of the last one, which goes out before anything else.
             if error.sent == len(frames):
                 return error.sent
             raise can.CanTimeoutError(str(error)) from error
@@ -288,8 +352,8 @@ class CanserBus(Uncopied, can.BusABC):
             raise can.CanOperationError(str(error)) from error
 
     def _ticking(self, seconds: float) -> int:
-        """Return the time of a message in nanoseconds, if the device's clock can show it."""
-        if not 0 <= seconds < _EPOCH_TO_S:  # or it is NaN
+        """Return the time of a message in nanoseconds; ValueError if the clock cannot show it."""
+        if not 0 <= seconds < _EPOCH_TO_S:  # also raises for NaN
             raise ValueError(
                 f"the timestamp {seconds} is out of range; it must be 0 or more, in seconds"
             )
@@ -304,7 +368,17 @@ class CanserBus(Uncopied, can.BusABC):
     def fileno(self) -> int:
         """Return a descriptor that is readable while frames may be there, or the port is gone.
 
-        CanOperationError after `shutdown`, NotImplementedError on Windows.
+        Returns
+        -------
+        int
+            A descriptor for select(), poll() and event loops. Do not read from it.
+
+        Raises
+        ------
+        can.CanOperationError
+            After `shutdown`.
+        NotImplementedError
+            On Windows.
         """
         if sys.platform == "win32":
             raise NotImplementedError("Windows cannot wait for descriptors; use a timeout")
@@ -322,10 +396,10 @@ class CanserBus(Uncopied, can.BusABC):
 
     @property
     def state(self) -> can.BusState:
-        """ACTIVE, or PASSIVE if the adapter was told to listen only.
+        """ACTIVE, or PASSIVE if the adapter is configured to listen only: `can.BusState`.
 
-        It can be set where the adapter is configured, that is opened with a bitrate: else
-        NotImplementedError.
+        Can be set if the bus was opened with a bitrate, so that the adapter is configured.
+        Otherwise, and for ERROR, setting raises NotImplementedError.
         """
         silent = self._config is not None and "silent" in self._config.mode
         return can.BusState.PASSIVE if silent else can.BusState.ACTIVE
@@ -365,7 +439,8 @@ class CanserBus(Uncopied, can.BusABC):
     def shutdown(self) -> None:
         """Stop periodic sending and close the port; a `recv` that waits ends with an error.
 
-        What the line has taken is waited for, a second at most; what is left is told in the log.
+        Waits until the line has sent its bytes, at most one second. The log reports bytes that are
+        left.
         """
         super().shutdown()
         try:
@@ -373,13 +448,13 @@ class CanserBus(Uncopied, can.BusABC):
                 _LOG.warning(
                     "%s: %d bytes are not sent, and are lost", self.port.url, self.port.bytes_unsent
                 )
-        except PortError:  # closed already, or gone: the sender has been told
+        except PortError:  # closed already, or gone: sending has raised that
             pass
         self.port.close()
 
     @staticmethod
     def _detect_available_configs() -> Sequence[AutoDetectedConfig]:
-        # What an adapter speaks is unknown before it has sent something.
+        # The protocol of an adapter is not known before it sends. So each is possible on each port.
         return [
             cast(
                 AutoDetectedConfig,

@@ -1,4 +1,4 @@
-"""Captures as logs of python-can: `can.LogReader` and its tools read them, by their suffix."""
+"""Reading captures by python-can: `can.LogReader` and the tools find this by the suffix."""
 
 import logging
 import warnings
@@ -23,17 +23,29 @@ __all__ = ["CaptureReader"]
 
 _LOG: Final = logging.getLogger("can.canser")
 
-# Frames that are made messages at a time.
+# The most frames that are decoded at once.
 _BATCH: Final = 4096
 
 
 class CaptureReader(BinaryIOMessageReader):
     """Read the messages of a recording, or of raw bytes, in bounded memory.
 
-    A recording's messages have times of day. Those of raw bytes have the times of the
-    device's clock in seconds, and 0 where the format has none. As those of python-can's own
-    serial buses they have no channel. What is damaged in a recording is left out, and a
-    CanserWarning at the end tells of it.
+    Notes
+    -----
+    Messages of a recording have epoch seconds. Messages of raw bytes have the times of the device's
+    clock in seconds, 0 if the protocol has no clock. Their channel is None, as in messages of
+    python-can's own serial buses. The damaged parts of a recording are left out, and a
+    `canser.CanserWarning` at the end reports them.
+
+    Examples
+    --------
+    >>> import can
+    >>> message = can.Message(1_700_000_000.0, 0x123, is_extended_id=False, data=[1])
+    >>> with can.Logger("run.pcapng", protocol="seeed") as logger:
+    ...     logger(message)
+    >>> with can.LogReader("run.pcapng") as reader:
+    ...     [message.arbitration_id for message in reader]
+    [291]
     """
 
     def __init__(
@@ -46,9 +58,21 @@ class CaptureReader(BinaryIOMessageReader):
     ) -> None:
         """Open a capture.
 
-        `file`: a path, or a file open for reading bytes. `protocol`, `ts_unit`, `as_is`,
-        warnings and errors as for `canser.blocks`. Without a protocol it is "auto", and the
-        log tells which protocol that is: these messages may be sent by `can_player`.
+        Parameters
+        ----------
+        file : path, or file open for reading bytes
+            The capture.
+        protocol : str, default "auto"
+            The protocol of the bytes, as for `canser.blocks`. With "auto" the log names the
+            protocol that was found, as `can_player` may send these messages.
+        ts_unit : {"ms", "us", "ns", "s"}, optional
+            Unit of the device's clock, as for `canser.blocks`.
+        as_is : bool, default False
+            As for `canser.blocks`.
+
+        Notes
+        -----
+        Warnings and errors are those of `canser.blocks`.
         """
         super().__init__(file)
         self._as_is = as_is
@@ -70,7 +94,7 @@ class CaptureReader(BinaryIOMessageReader):
     def __iter__(self) -> Iterator[can.Message]:
         for frames in self._blocks:
             yield from starmap(can.Message, to_rows(frames))
-        notes = self._blocks.notes._replace(found=())  # the log has told which protocol it is
+        notes = self._blocks.notes._replace(found=())  # the log has named the protocol already
         for remark in notes.lines if self._as_is else notes.all_lines:
             warnings.warn(remark, CanserWarning, stacklevel=2)
 

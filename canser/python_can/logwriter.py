@@ -1,4 +1,4 @@
-"""Recordings as logs of python-can: `can.Logger` and its tools write them, by their suffix."""
+"""Writing recordings by python-can: `can.Logger` and the tools find this by the suffix."""
 
 import warnings
 from io import BufferedIOBase
@@ -15,16 +15,25 @@ from canser.files.writer import WriteOptions
 
 __all__ = ["CaptureWriter"]
 
-# Messages that are written at a time.
+# Messages that are gathered before they are written.
 _BATCH: Final = 512
 
 
 class CaptureWriter(BinaryIOMessageWriter):
     """Write messages into a recording, as the bytes that an adapter would send for them.
 
-    A message that the protocol cannot carry, such as an error frame in most, is left out, and a
-    CanserWarning at the end counts them. Times are kept to 2 ms, and those of the protocol's
-    own clock exactly.
+    Notes
+    -----
+    A message that the protocol cannot carry is left out, such as an error frame in most protocols.
+    A `canser.CanserWarning` at the end counts these messages. Times are kept to 2 ms; times of the
+    protocol's own clock are kept exactly.
+
+    Examples
+    --------
+    >>> import can
+    >>> message = can.Message(1_700_000_000.0, 0x123, is_extended_id=False, data=[1])
+    >>> with can.Logger("run.pcapng", protocol="seeed") as logger:
+    ...     logger(message)
     """
 
     def __init__(
@@ -40,13 +49,13 @@ class CaptureWriter(BinaryIOMessageWriter):
         Parameters
         ----------
         file : path, or file open for writing bytes
-            A file that has a descriptor.
-        protocol : str
-            Of the bytes, a name of `canser.protocols()`.
-        ts_unit : str
-            Unit of the times in the bytes, where the protocol has them.
-        options
-            Of python-can, for other formats; they mean nothing here.
+            The recording. An open file must have a descriptor.
+        protocol : str, default "serial"
+            The protocol of the bytes: a name of `canser.protocols()`.
+        ts_unit : {"ms", "us", "ns", "s"}, default "ms"
+            Unit of the times in the bytes, if the protocol has a clock.
+        **options
+            Options of python-can for other formats; they mean nothing here.
         """
         settings = WriteOptions(protocol=protocol, ts_unit=ts_unit)
         super().__init__(file, **options)
@@ -59,7 +68,7 @@ class CaptureWriter(BinaryIOMessageWriter):
         self._messages: list[can.Message] = []
 
     def on_message_received(self, msg: can.Message) -> None:
-        """Take a message."""
+        """Write a message, or keep it until more have come."""
         self._messages.append(msg)
         if len(self._messages) == _BATCH:
             self._flush()
@@ -70,7 +79,7 @@ class CaptureWriter(BinaryIOMessageWriter):
             self._recording.write(make_frames(messages))
 
     def stop(self) -> None:
-        """Write the end, and close the file."""
+        """Write the messages that are kept, and close the file."""
         try:
             self._flush()
             for remark in self._recording.finish():
