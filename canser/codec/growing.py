@@ -8,17 +8,17 @@ from canser._frames import FRAME_DTYPE, FrameArray, put_records
 
 __all__ = ["GrowingFrames"]
 
-# glibc maps blocks of 128 KiB and more from the system, unless one as large was freed before;
-# blocks over 32 MiB always (mallopt(3), M_MMAP_THRESHOLD).
+# A block of this size, 128 KiB, or larger is mapped from the system by glibc, unless a block of its
+# size was freed before. Blocks over 32 MiB are always mapped (mallopt(3), M_MMAP_THRESHOLD).
 _MAPPED: Final = (128 << 10) // FRAME_DTYPE.itemsize
 _ALWAYS_MAPPED: Final = (32 << 20) // FRAME_DTYPE.itemsize
 
 
 class GrowingFrames:
-    """Frames in one array, with room behind them that is made as it is needed.
+    """Frames in one array, with room behind them that grows on demand.
 
-    `frames` is the array, of which the first `count` are taken; the owner writes behind them,
-    and counts.
+    `frames` is the array. Its first `count` rows are taken. The owner writes behind them, and
+    raises `count`.
     """
 
     def __init__(self, cap: int) -> None:
@@ -31,24 +31,24 @@ class GrowingFrames:
         return len(self.frames) - self.count
 
     def grow(self, cap: int) -> None:
-        """Make the array so long, and copy what is in it."""
+        """Make the array `cap` rows long, and copy its frames."""
         larger = _make_room(cap)
         put_records(larger[: self.count], self.frames[: self.count])
         self.frames = larger
 
     def result(self) -> FrameArray:
-        """Return the array, of just the size; it owns its memory."""
-        # What is too much is given back where it is: no other object refers to it.
+        """Return the frames in an array without spare rows, which owns its memory."""
+        # The spare rows are freed in place: no other object refers to the array.
         self.frames.resize(self.count, refcheck=False)
         return self.frames
 
 
 def _make_room(cap: int) -> FrameArray:
-    """Return room for this many frames in pages that the process has already, if it can be.
+    """Return room for `cap` frames, if possible in pages that the process already has.
 
-    To touch a page that is new takes longer than to decode the frames in it, and a block that
-    was mapped has new pages each time: a loop over `decode` would take ten times as long.
-    One as large is freed first, untouched: from then on the C library keeps such blocks.
+    The first touch of a new page takes longer than decoding the frames in it, and a mapped block
+    has new pages each time. Otherwise a loop over `decode` would take ten times as long. So a block
+    of the same size is freed first, untouched: from then on the C library keeps such blocks.
     """
     if _MAPPED <= cap <= _ALWAYS_MAPPED:
         np.empty(cap * FRAME_DTYPE.itemsize, np.uint8)
