@@ -1,4 +1,4 @@
-"""When bytes are not what they are read as: too many of them lie in no packet."""
+"""The doubt whether bytes are of a protocol: too many of them lie in no packet."""
 
 import functools
 import random
@@ -13,16 +13,18 @@ from canser._frames import FRAME_DTYPE
 
 __all__ = ["LEAST_BYTES", "has_marks", "is_doubtful", "most_skipped"]
 
-# Fewer bytes than these tell nothing: a capture may begin and end inside a packet, and one
-# burst of noise is a large share of a short capture.
+# Fewer bytes than this prove nothing. A capture may begin and end inside a packet, and one burst of
+# noise is a large share of a short capture.
 LEAST_BYTES: Final = 1000
 
-# A line that damages 1 byte in 100 skips 10 % of the bytes where packets have marks, and 2 % in
-# `cantalope`. Bytes of a wrong baud rate are skipped as random bytes are: nearly all of them where
-# packets have marks, and a ninth in `cantalope`, where nearly any bytes are a frame. Of bytes of
-# another protocol fewer may be skipped: they have more zeros, which look like packets where these
-# have no marks. There, of the captures of real traffic 0.31 of what random bytes give are skipped
-# at the least, and in cantalope 0.28 where 1 byte in 20 is damaged.
+# The shares of skipped bytes that tell a wrong protocol from a noisy line. Measured:
+# - A line that damages 1 byte in 100 skips 10 % of the bytes where packets have marks, and 2 % in
+#   `cantalope`, which has none.
+# - Bytes of a wrong baud rate are skipped like random bytes: nearly all of them where packets have
+#   marks, and a ninth in `cantalope`, where nearly any bytes are a frame.
+# - Of bytes of another protocol fewer may be skipped where packets have no marks: they have more
+#   zeros, which look like packets. The captures of real traffic give at least 0.31 of the share
+#   that random bytes give. A `cantalope` line that damages 1 byte in 20 gives 0.28 of it.
 _HALF: Final = 0.5
 _MARKED: Final = 0.99
 _SHARE_OF_RANDOM: Final = 0.3
@@ -31,12 +33,12 @@ _RANDOM_LEN: Final = 1 << 15
 
 
 def most_skipped(protocol: str) -> float:
-    """Return the share of skipped bytes over which bytes are not of a protocol."""
+    """Return the share of skipped bytes above which bytes are not of a protocol."""
     return _HALF if has_marks(protocol) else _SHARE_OF_RANDOM * _skipped_of_random(protocol)
 
 
 def has_marks(protocol: str) -> bool:
-    """Return whether hardly any packet is found in random bytes."""
+    """Return whether packets have marks, so that random bytes hold hardly any packet."""
     return _skipped_of_random(protocol) > _MARKED
 
 
@@ -54,7 +56,7 @@ def _skipped_of_random(protocol: str) -> float:
 
 
 def is_doubtful(protocol: str, bytes_in: int, bytes_skipped: int) -> bool:
-    """Return whether so many of the bytes were skipped that they are not of a protocol."""
+    """Return whether too many bytes were skipped for the bytes to be of a protocol."""
     if bytes_in < LEAST_BYTES or not bytes_skipped:
         return False
     return bytes_skipped > most_skipped(protocol) * bytes_in
