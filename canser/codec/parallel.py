@@ -1,10 +1,10 @@
-"""Threads that decode ahead of a stream: from a guess, to be joined when it comes there.
+"""Threads that decode ahead of a stream, each from a guess, and are joined to it.
 
-The calling thread decodes, straight to where the frames are wanted. Meanwhile each
-helper takes a stretch some way ahead, guesses where its first packet starts, and
-decodes into room of its own. When the stream comes there, the stretch is joined, if it
-starts where the stream stands: then it is right, and that takes as long for many frames
-as for few. If not, it is thrown away, and the calling thread decodes it like any other.
+The calling thread decodes, straight to where the frames are wanted. Meanwhile each helper takes a
+stretch of the bytes ahead, guesses where its first packet starts, and decodes into its own room.
+The calling thread comes to the stretch later. If the stream then stands where the helper started,
+the guess was right, and the stretch is joined: that takes the same time for few frames and many.
+If not, the stretch is thrown away, and the calling thread decodes these bytes like any others.
 """
 
 import os
@@ -19,28 +19,28 @@ from canser._core.stream import BEHIND, ParallelChunk, Stream
 
 __all__ = ["STRETCH", "Ahead", "count_cores", "limit_threads"]
 
-# Bytes that a helper takes at a time: long against what that costs in Python, short
-# against a cache.
+# The bytes of a stretch, 1 MiB. Their decoding takes long compared with the Python around it, and
+# they fit into a cache.
 STRETCH = 1 << 20
 
-# Towards the end the helpers take less, so that all end together; this at least.
+# The smallest stretch, 64 KiB. Stretches shrink towards the end, so that all threads end together.
 _STRETCH_LEAST = 1 << 16
 
-# So many lengths of its stretch a helper stays ahead: when it is done, the caller is not
-# yet there.
+# A helper starts this many stretches ahead of the calling thread, so that it is done before the
+# calling thread arrives.
 _LEAD = 2
 
-# No more threads than this, whatever is asked for: a stretch takes a helper 100 to 250 us and
-# the calling thread, which joins it, 20 to 40 us in Python. More helpers would only wait.
+# The most threads that are used. A helper decodes a stretch in 100 to 250 us, and the calling
+# thread joins it in 20 to 40 us, in Python. More helpers would only wait.
 _THREADS_MOST = 16
 
-# After a wrong guess the helpers rest for 1, 4, 16 ... so many stretches: input on which
-# no guess is right takes hardly longer than by one thread.
+# The most stretches that the helpers rest for. After each wrong guess they rest for 1, 4, 16 and
+# then 64 stretches. So input on which no guess is right takes hardly longer than with one thread.
 _REST_MOST = 64
 
 
 def count_cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     if sys.version_info >= (3, 13):
         return os.process_cpu_count() or 1
     if hasattr(os, "sched_getaffinity"):
@@ -49,12 +49,12 @@ def count_cores() -> int:
 
 
 def limit_threads(threads: int) -> int:
-    """Return how many of these threads are of use: at most one for each core, and 16."""
+    """Return how many of `threads` are of use: at most one for each core, and at most 16."""
     return 1 if threads == 1 else min(threads, count_cores(), _THREADS_MOST)
 
 
 class _Claim:
-    """A stretch that a helper has taken, and what became of it."""
+    """A stretch that a helper has taken, and the decision about it."""
 
     def __init__(self, first: int, stop: int, chunk: ParallelChunk) -> None:
         self.first, self.stop, self.chunk = first, stop, chunk
@@ -63,18 +63,20 @@ class _Claim:
         self.deliver: Callable[[], None] | None = None
 
     def decode(self, data: Pointer, data_len: int, start: int) -> None:
-        """Decode it; `start` is the stream offset of the data."""
+        """Decode the stretch; `start` is the stream offset of the data."""
         self.chunk.decode(data, data_len, self.first - start, self.stop - start, start)
 
 
 class Ahead:
-    """Helpers that decode `data` ahead of a stream that stands at its begin, holding nothing.
+    """Helpers that decode `data` ahead of a stream, which stands at its begin and holds no bytes.
 
-    Iterate over it: each item is a stream offset, and the caller must decode from where
-    the stream stands up to there, or a chunk that was joined to the stream, and the
-    caller must say by `deliver` what makes its frames good. It ends before the last bytes,
-    where a packet may not be whole. A context manager; when it is left, all is delivered.
-    Where the system starts no more threads, those that run do the work, or the caller alone.
+    Iteration gives stream offsets and chunks. For an offset, the caller must decode up to it, from
+    where the stream stands. A chunk has just been joined to the stream, and the caller must say by
+    `deliver` how its frames are copied. Iteration ends before the last bytes, where a packet may
+    not be whole.
+
+    This is a context manager. When it is left, all frames are delivered. If the system starts no
+    more threads, those that run do the work, or the caller alone.
     """
 
     def __init__(
@@ -92,9 +94,9 @@ class Ahead:
         self._changed = threading.Condition()
         self._claims: deque[_Claim] = deque()
         self._joined: _Claim | None = None
-        # The caller decodes what lies between these, and no helper takes it.
+        # The calling thread decodes the bytes between these two offsets. No helper takes them.
         self._from = self._stop = stream.position
-        self._rest = 0  # stretches to rest after the last wrong guess
+        self._rest = 0  # stretches that the helpers rest for after the last wrong guess
         self._resting_to = 0
         self._closed = False
         self._failure: BaseException | None = None
@@ -123,18 +125,19 @@ class Ahead:
             try:
                 raise self._failure
             finally:
-                # Its frames hold this, and all the room: no cycle for the collector.
+                # The exception's frames refer to this object, and to all the room. Without this
+                # they would be a cycle, left to the garbage collector.
                 self._failure = None
 
     def _close(self) -> None:
-        # An interpreter that ends has stopped the helpers wherever they were.
+        # At the interpreter's end the helpers are stopped already, at any point.
         if sys.is_finalizing():
             return
         with self._changed:
             self._closed = True
             self._changed.notify_all()
         for helper in self._helpers:
-            # Who collects an iterator that was dropped may be a helper.
+            # The garbage collector may run in a helper, and close an iterator that was dropped.
             if helper.is_alive() and helper is not threading.current_thread():
                 helper.join()
 
@@ -163,7 +166,7 @@ class Ahead:
                 self._decide(claim, None)
 
     def deliver(self, copy: Callable[[], None]) -> None:
-        """Let the helper do `copy` for the chunk that was joined last; it may take a while."""
+        """Let the helper copy the chunk that was joined last; the copy may take a while."""
         assert self._joined is not None
         self._decide(self._joined, copy)
 
@@ -173,12 +176,12 @@ class Ahead:
             self._changed.notify_all()
 
     def _claim(self, chunk: ParallelChunk, *, wait: bool) -> _Claim | None:
-        """Take a stretch so far ahead that the caller comes there when it is decoded."""
+        """Take a stretch far enough ahead to be decoded before the caller arrives there."""
         with self._changed:
             while not self._closed:
                 left = self._end - self._from
                 length = min(STRETCH, max(left // (self._threads + 2), _STRETCH_LEAST))
-                # The caller leaps over what others have taken.
+                # The calling thread skips the stretches of other helpers.
                 taken = sum(claim.stop - claim.first for claim in self._claims)
                 first = max(self._from + taken + _LEAD * length, self._stop)
                 if self._claims:
@@ -209,7 +212,7 @@ class Ahead:
                         self._changed.notify_all()
                 elif not mine:
                     return
-                # With no room left, or nothing to take, there is time to wait.
+                # Without room, or without another stretch, there is time to wait.
                 while mine and self._is_decided(mine[0], wait=claim is None or not spare):
                     done = mine.popleft()
                     if done.deliver is not None:
@@ -221,7 +224,7 @@ class Ahead:
                 for claim in self._claims:
                     claim.decoded = True
                 self._changed.notify_all()
-            # The caller may be waiting for what was joined before.
+            # The calling thread may wait for the copies of chunks that were joined before.
             for claim in mine:
                 if self._is_decided(claim, wait=True) and claim.deliver is not None:
                     claim.deliver()
