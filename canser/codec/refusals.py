@@ -1,4 +1,4 @@
-"""The frames that a protocol cannot carry: left out, and counted by the reason."""
+"""Frames that a protocol cannot carry: they are left out, and counted by reason."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ __all__ = ["Refusals", "carries"]
 
 
 def carries(protocol: str, *, ext: bool = False, err: bool = False) -> bool:
-    """Return whether a protocol has extended frames, or error frames, as is asked."""
+    """Return whether a protocol has the frames that are asked for: extended, or error frames."""
     frame = np.zeros(1, FRAME_DTYPE)
     frame["ext"], frame["err"] = ext, err
     return not refuse(find_protocol(protocol), frame).any()
@@ -19,8 +19,8 @@ def carries(protocol: str, *, ext: bool = False, err: bool = False) -> bool:
 class Refusals:
     """Leave out the frames that a protocol cannot carry, and count them.
 
-    These are the frames that `encode` refuses. `times_given`: the frames get other times
-    before they are encoded, so that an unknown time is no reason.
+    `encode` refuses the same frames. With `times_given` the frames get other times before they are
+    encoded, so that an unknown time is no reason.
     """
 
     def __init__(self, protocol: str, *, times_given: bool = False) -> None:
@@ -38,7 +38,7 @@ class Refusals:
 
     @property
     def frames(self) -> int:
-        """All frames so far, those that were left out too."""
+        """All frames so far, including those that were left out."""
         return int(self._counts.sum())
 
     @property
@@ -48,7 +48,7 @@ class Refusals:
 
     @property
     def reasons(self) -> str:
-        """What was left out, most of it first: `error frames 2, extended ids 1`."""
+        """The reasons and their counts, the largest first: `error frames 2, extended ids 1`."""
         order = np.argsort(-self._counts[1:], kind="stable") + 1
         return ", ".join(
             f"{REFUSAL_NAMES[reason]} {self._counts[reason]:,}"
