@@ -1,4 +1,4 @@
-"""Where decoded frames go: an array of the caller's, or a new one that grows."""
+"""Targets of decoded frames: the caller's array, or a new one that grows."""
 
 import threading
 from collections.abc import Callable
@@ -13,36 +13,36 @@ from canser.codec.growing import GrowingFrames
 
 __all__ = ["SMALL", "FixedArray", "GrowingArray", "MakeChunk", "Sink"]
 
-# Where the bytes can hold no more frames than this, room for the most is made at once: 16 MiB.
-# What is not written takes no memory, and goes back to the system at the end.
+# A new array is made for the most frames that the bytes can hold, if these take 16 MiB or less.
+# Pages that are not written take no memory. The rows that are not needed are freed at the end.
 AT_ONCE = (16 << 20) // FRAME_DTYPE.itemsize
 
-# Where they can, the first room is for this many, 1 MiB: they tell how many there will be.
+# Otherwise the new array begins with 1 MiB. The frames in it tell how many there will be.
 SMALL = (1 << 20) // FRAME_DTYPE.itemsize
 
 
-# Makes room for a stretch that a helper decodes, with or without offsets.
+# Makes room for a stretch that a helper decodes: with offsets if the argument is True.
 MakeChunk = Callable[[bool], ParallelChunk]
 
 
 class Sink(Protocol):
-    """Where frames go, in their order."""
+    """A target of frames in their order."""
 
     def chunk(self) -> ParallelChunk:
         """Return room for a chunk that a helper decodes."""
 
     def room(self) -> tuple[Pointer, int, Pointer]:
-        """Return where the next frames may be written, how many, and their offsets."""
+        """Return pointers to the room for the next frames and their offsets, and its length."""
 
     def wrote(self, count: int) -> None:
-        """Take notice of frames that were written there."""
+        """Count frames that were written into the room."""
 
     def place(self, chunk: ParallelChunk) -> Callable[[], None]:
-        """Make room for a chunk's frames; return what brings them there."""
+        """Make room for a chunk's frames; return the function that copies them there."""
 
 
 class FixedArray:
-    """The caller's array. What is too much for it is counted only."""
+    """The caller's array. Frames that find no room in it are only counted."""
 
     _spare: FrameArray | None = None
 
