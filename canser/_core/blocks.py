@@ -1,4 +1,4 @@
-"""Blocks of recordings: those that nothing is unusual about are walked and gathered in C."""
+"""Usual blocks of recordings, walked and gathered in C."""
 
 from typing import NamedTuple
 
@@ -9,21 +9,21 @@ from canser._core.buffers import Times, input_bytes, raise_status
 
 __all__ = ["BlockGatherer", "Gathered"]
 
-# Room for pieces: for blocks of so many bytes at least all of the room for bytes is used.
+# The room for pieces: if blocks have 64 bytes or more, the room for bytes is full before it.
 _SMALL_BLOCK = 64
 
 
 class Gathered(NamedTuple):
-    """The bytes of some blocks, one behind the other."""
+    """The bytes of some blocks, one block behind the other."""
 
     used: int  # bytes of the file
     data: memoryview  # good until the next call
-    ends: Times  # of each block in there
+    ends: Times  # where each block ends in `data`
     times: Times
 
 
 class BlockGatherer:
-    """Gather the bytes of blocks into one array, again and again."""
+    """Gather the bytes of blocks into one array, which each call fills anew."""
 
     def __init__(self, room_bytes: int) -> None:
         self._self = ffi.new("canser_recording *")
@@ -40,10 +40,10 @@ class BlockGatherer:
         )
 
     def gather(self, data: memoryview, interface: int, next_id: int | None) -> Gathered:
-        """Take the blocks of an interface from the start of `data` on, up to one that is unusual.
+        """Gather the blocks of an interface from the start of `data`, up to an unusual block.
 
-        `next_id`: of the first block if nothing is missing, None where blocks have no ids. See
-        canser_recording_gather.
+        `next_id` is the id of the first block if no block is missing, or None if blocks have no
+        ids. See canser_recording_gather.
         """
         self._self.interface = interface
         self._self.has_ids = next_id is not None
