@@ -1,4 +1,4 @@
-"""Memory of the caller as pointers for C: checked, never copied; and statuses as exceptions."""
+"""The caller's memory as pointers for C, checked and never copied; C's statuses as exceptions."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
@@ -13,14 +13,14 @@ from canser._frames import FRAME_DTYPE, FrameArray, refuse_mask
 if TYPE_CHECKING:
     from typing_extensions import Buffer
 
-# Any buffer of bytes; below Python 3.12 an array is none for a type checker.
+# Any buffer of bytes. Below Python 3.12 type checkers do not know that an array is a buffer.
 BytesLike: TypeAlias = "Buffer | npt.NDArray[Any]"
 
 Pointer = Any
 Offsets = npt.NDArray[np.int64] | npt.NDArray[np.uint64]
 Times = npt.NDArray[np.int64]
 
-# The record of Python is the struct of C, field by field.
+# Python's record and C's struct must agree, field by field.
 for _name, _field in ffi.typeof("canser_frame").fields:
     assert FRAME_DTYPE.fields is not None
     assert FRAME_DTYPE.fields[_name][1] == _field.offset
@@ -55,12 +55,12 @@ NULL: Final[Pointer] = ffi.NULL
 
 def input_bytes(data: BytesLike) -> Pointer:
     """Return a pointer to the caller's bytes, no copy; it holds the buffer."""
-    # What nothing can be wrong with goes the short way.
+        # The common case, in which there is nothing to check.
     if type(data) is bytes:
         return ffi.from_buffer("uint8_t[]", data)
     view = _check_bytes(data)
-    # A pointer that holds a memoryview, in a cycle such as an exception and its frames,
-    # crashes the garbage collector of Python before 3.12.7. It does not look into arrays.
+    # The pointer must hold an array, not a memoryview. Before 3.12.7, Python's garbage collector
+    # crashes on a pointer that holds a memoryview in a cycle, such as an exception and its frames.
     return ffi.from_buffer("uint8_t[]", np.frombuffer(view, np.uint8))
 
 
@@ -122,34 +122,34 @@ def output_room(
 ) -> tuple[Pointer, int, Pointer]:
     """Return pointers into checked arrays behind `count` frames, and the room there.
 
-    They hold nothing: the caller holds the arrays.
+    The pointers do not keep the arrays alive: the caller does.
     """
     at = NULL if offsets is None else ffi.from_buffer("int64_t[]", offsets) + count
     return ffi.from_buffer("canser_frame[]", out) + count, len(out) - count, at
 
 
-# Made once: a type that is named is looked up in each call.
+# Looked up once: cffi would look a type up by its name in each call.
 _TARGET: Final = ffi.typeof("canser_target *")
 
 
 def check_output(out: FrameArray, offsets: Offsets | None) -> Pointer:
-    """Return a target that is these arrays, checked; it does not hold them."""
+    """Return a target made of these arrays, checked; it does not keep them alive."""
     return ffi.new(_TARGET, (output_frames(out), len(out), output_offsets(offsets, len(out))))
 
 
 def is_same(
     offsets: Offsets | None, last: Callable[[], Offsets | None] | None, frame_cap: int
 ) -> bool:
-    """Return whether these are the offsets that were checked last, and nothing has changed."""
+    """Return whether these are the offsets that were checked last, still unchanged."""
     if offsets is None or last is None:
         return offsets is None and last is None
     return offsets is last() and len(offsets) >= frame_cap and offsets.flags.writeable
 
 
 class FrameRoom:
-    """Room for frames, and for where each begins and ends: checked once, its pointers kept.
+    """Room for frames, and for where each begins and ends: checked once, with its pointers.
 
-    `offsets` and `ends`: int64, as long as `frames`; None where they are not wanted.
+    `offsets` and `ends` are int64 arrays as long as `frames`, or None.
     """
 
     def __init__(self, frames: FrameArray, offsets: Times | None, ends: Times | None) -> None:
@@ -165,7 +165,7 @@ class FrameRoom:
 
     @property
     def timed(self) -> int:
-        """How many frames have their final times, the first ones."""
+        """How many frames have their final times; they are the first ones."""
         return int(self.timed_at[0])
 
     @timed.setter
@@ -173,7 +173,7 @@ class FrameRoom:
         self.timed_at[0] = count
 
     def between(self, count: int, most: int) -> Pointer:
-        """Return as a target, good until the next call, room behind `count` frames up to `most`."""
+        """Return the rows from `count` up to `most` as a target, good until the next call."""
         target = self._target
         target.frames, target.frame_cap = self.frames_at + count, most - count
         if self.offsets is not None:
@@ -191,7 +191,7 @@ def output_bytes(out: npt.NDArray[np.uint8]) -> Pointer:
 
 
 def raise_status(status: int) -> None:
-    """Raise what a status of C says of the caller's arrays."""
+    """Raise the exception for a status of C, which is about the caller's arrays."""
     if status == lib.CANSER_MISALIGNED:
         raise ValueError(
             "an array of frames or offsets does not begin at a multiple of 8 bytes; "
