@@ -48,8 +48,8 @@ __all__ = ["Control", "Decoder", "Encoder", "Stats", "decode", "encode"]
 _Array = TypeVar("_Array")
 _Ref = Callable[[], _Array | None]
 
-# A decoder keeps this many control packets that no caller has taken: 2 MiB, an
-# hour and more of pings ten times a second.
+# A decoder keeps the newest control packets that were not taken, at most this many. They take
+# 2 MiB, and are over an hour of pings at ten a second.
 _CONTROLS_KEPT = 1 << 16
 
 
@@ -72,7 +72,7 @@ class Stats:
     bytes_skipped: int
     #: Frames found.
     frames: int
-    #: Control packets found: packets that are valid but no CAN frames.
+    #: Control packets found: valid packets that are no CAN frames.
     controls: int
     #: Unbroken runs of skipped bytes.
     resyncs: int
@@ -80,13 +80,13 @@ class Stats:
     rejects: Mapping[str, int]
     #: Bytes held: the start of a packet that is not whole yet.
     pending: int
-    #: Steps of the device clock forward through zero.
+    #: Steps of the device clock forward through zero: the counter of 32 bits has wrapped.
     ts_wraps: int
     #: Steps of the device clock back: a restart, or false frames.
     ts_backsteps: int
-    #: Of the steps back, those of more than 2**24 ticks from a clock in line, one that has made 16
-    #: small steps forward: a restart, a silence of more than half a turn of the counter, or a false
-    #: time. These cannot be told apart, and all later times may be whole turns off.
+    #: The steps back of more than 2**24 ticks from a clock that has made 16 small steps forward.
+    #: Each is a restart, a silence of more than half a turn of the counter, or a false time. The
+    #: bytes do not tell which, and all later times may be whole turns off.
     ts_uncertain: int
 
     def __post_init__(self) -> None:
@@ -107,10 +107,10 @@ def add_stats(one: Stats, other: Stats) -> Stats:
 class Decoder(Uncopied):
     """Decode one stream, piece by piece, without I/O.
 
-    It does not matter how the stream is cut. Two threads may share a decoder: they wait for each
-    other. A signal handler must not use a decoder of which it may have interrupted a call in its
-    own thread: it gets a RuntimeError, and nothing is changed. C works without the GIL, so
-    decoders in several threads run in parallel. A decoder cannot be copied or pickled.
+    The frames do not depend on how the stream is cut. Two threads may share a decoder: one waits
+    for the other. A signal handler must use a decoder of its own: where it interrupts a call of
+    this one in its own thread, its call raises RuntimeError and changes nothing. C works without
+    the GIL, so decoders in several threads run in parallel. A decoder cannot be copied or pickled.
 
     Parameters
     ----------
@@ -403,7 +403,7 @@ class Decoder(Uncopied):
             more_count, controls, more = self._stream.feed(source + used, source_len - used)
             used += more
             count += more_count
-            # What is left is so for want of room, if not of that for control packets.
+            # Bytes are left because the target is full, or the room for control packets.
             if not controls:
                 return used, count
             self._keep_controls()
@@ -419,13 +419,13 @@ class Decoder(Uncopied):
         return count
 
     def _keep_controls(self, chunk: ParallelChunk | None = None) -> bool:
-        """Keep what the last call, or a chunk, has found; True if there is anything."""
+        """Keep the control packets of the last call, or of a chunk; True if there are any."""
         rows = (chunk or self._stream).controls()
         if rows is None:
             return False
         self._controls.append(rows)
         self._controls_held += len(rows)
-        # One by one, so that it does not matter how the stream was cut.
+        # Dropped one by one: so the packets kept do not depend on how the stream was cut.
         while (excess := self._controls_held - _CONTROLS_KEPT) > 0:
             oldest = self._controls.popleft()
             if excess < len(oldest):
@@ -441,7 +441,7 @@ class Decoder(Uncopied):
         return ParallelChunk(self._protocol, tick_ns(self._ts_unit), most, offsets=offsets)
 
     def _collect(self, source: Pointer, *, ends: bool, threads: int = 1) -> FrameArray:
-        """Decode all of `source` into a new array, of just the size; the lock is held."""
+        """Decode all of `source` into a new array without spare rows; the lock is held."""
         sink = GrowingArray(self.make_chunk, self._stream, len(source))
         self._run(source, sink, ends=ends, threads=threads)
         return sink.result()
@@ -451,7 +451,7 @@ class Decoder(Uncopied):
     ) -> tuple[int, int]:
         """Decode all of `source` and its end into `out`; the arrays are checked.
 
-        Returns the frames that are there, and those that it needs room for.
+        Returns the number of frames in `out`, and the number of frames that `source` holds.
         """
         sink = FixedArray(self.make_chunk, out, offsets)
         self._alone(self._run, source, sink, ends=True, threads=threads)
@@ -480,16 +480,16 @@ class Decoder(Uncopied):
     def run_ahead(self, source: Pointer, sink: Sink, threads: int) -> Iterator[None]:
         """Decode all of `source` but its last bytes by several threads, into a sink.
 
-        For this package's own use, and for a stream that holds nothing. Yields whenever the
-        sink may be emptied; other threads may use the decoder then. RuntimeError if one has
-        fed or reset it meanwhile: its stream would not be that of `source` any more.
+        For this package's own use, and for a stream that holds no bytes. Yields whenever the sink
+        may be emptied. Between two steps other threads may use the decoder. RuntimeError if one of
+        them has fed or reset it: the stream would no longer be that of `source`.
         """
         return self._run_ahead(source, sink, threads, self._alone)
 
     def _run_ahead(
         self, source: Pointer, sink: Sink, threads: int, call: Callable[..., bool]
     ) -> Iterator[None]:
-        """Run ahead by steps, each of which `call` does alone."""
+        """Run ahead in steps; `call` does each of them while no other thread uses the stream."""
         stream, start, source_len = self._stream, self._stream.position, len(source)
         stretch = expected = start
 
@@ -525,7 +525,7 @@ class Decoder(Uncopied):
 
 
 def _call(work: Callable[..., bool], *args: object) -> bool:
-    """Do what is done alone already."""
+    """Call `work`: its caller holds the lock."""
     return work(*args)
 
 
