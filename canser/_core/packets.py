@@ -1,4 +1,4 @@
-"""Packets from frames, and those that are no frames: of an adapter's setup and reports."""
+"""Packets from frames, and control packets: an adapter's configuration and its reports."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from canser._frames import FrameArray
 
 
 class Config(NamedTuple):
-    """How an adapter is to work: the struct of C, field by field."""
+    """How an adapter works on the bus: C's struct, field by field."""
 
     bitrate: int
     filter_id: int
@@ -24,7 +24,7 @@ class Config(NamedTuple):
 
 
 class Explained(NamedTuple):
-    """What a control packet says; what its kind does not have is zero."""
+    """What a control packet says; a field that its kind does not have is zero."""
 
     kind: str
     receive_errors: int
@@ -41,9 +41,9 @@ def encode_into(
     *,
     first: int = 0,
 ) -> int:
-    """Encode all frames into `out`, and return the bytes written.
+    """Encode all frames into `out`, and return the number of bytes written.
 
-    `first` is the index of the first frame, as messages count.
+    `first` is the index of the first frame in error messages.
     """
     row, source, target = row_of(protocol), input_frames(frames), output_bytes(out)
     result = ffi.new("canser_encoded *")
@@ -67,7 +67,7 @@ def encode_into(
 
 
 def refuse(protocol: Protocol, frames: FrameArray) -> npt.NDArray[np.uint8]:
-    """Return for each frame why `encode_into` refuses it: a place in REFUSAL_NAMES, 0 if not."""
+    """Return each frame's reason for being refused: an index of REFUSAL_NAMES, 0 for none."""
     source = input_frames(frames)
     refusals = np.empty(len(frames), np.uint8)
     status = lib.canser_refuse(row_of(protocol), source, len(frames), output_bytes(refusals))
