@@ -16,19 +16,20 @@ from canser._frames import FRAME_DTYPE, FrameArray, copy_records
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
-# The bytes behind a packet's first one without which it is not taken.
+# A packet is only taken when this many bytes behind its first one are known.
 BEHIND: Final = int(lib.CANSER_BEHIND)
 
-# Up to so many bytes are decoded by one small call into a new array: reads of a port.
+# The most bytes for one small call into a new array: more than a read of a port mostly returns.
 SMALL_MOST: Final = 4096
 _SMALL_FRAMES: Final = (SMALL_MOST + BEHIND) // min(row.frame_min for row in PROTOCOLS.values()) + 1
 
-# What a small call returns: up to this the frames, all bytes being taken; see `Stream.feed_small`.
+# A small call returns the number of frames up to this limit, all bytes taken. For larger numbers
+# see `Stream.feed_small`.
 FRAMES_MOST: Final = 2**32 - 1
 
 _FRAME_SIZE: Final = FRAME_DTYPE.itemsize
 
-# How many control packets C may leave before it must ask for room again.
+# The room for control packets, in packets. C stops where it is full, and is called again.
 _CONTROL_CAP: Final = 1024
 _CONTROL_DTYPE: Final = np.dtype([("offset", "u8"), ("len", "u1"), ("bytes", "u1", (23,))])
 assert _CONTROL_DTYPE.itemsize == ffi.sizeof("canser_control")
@@ -37,13 +38,13 @@ assert _CONTROL_DTYPE.itemsize == ffi.sizeof("canser_control")
 class Control(NamedTuple):
     """A packet that is valid but is no CAN frame; returned by `Decoder.take_controls`."""
 
-    #: Of its first byte in the stream.
+    #: The offset of its first byte in the stream.
     offset: int
     #: The packet as it came.
     data: bytes
 
 
-# A batch counted in words, and where in it the counts lie: frames, then control packets.
+# A batch as an array of words. Its counts are its last two words: frames, then control packets.
 _BATCH_WORDS: Final = ffi.sizeof("canser_batch") // ffi.sizeof("size_t")
 _FOUND_WORD: Final = ffi.offsetof("canser_batch", "frame_count") // ffi.sizeof("size_t")
 assert ffi.offsetof("canser_batch", "control_count") == (_FOUND_WORD + 1) * ffi.sizeof("size_t")
@@ -53,13 +54,14 @@ assert _BATCH_WORDS == _FOUND_WORD + 2
 class Stream:
     """The state of one stream in C, with room for its control packets.
 
-    Without `keeps_controls` there is no such room: they are counted, not kept. `feed_small` is
-    safe for several threads; what else changes the state is called by `alone`, but for an owner
-    that has only one thread.
+    Without `keeps_controls` there is no such room: control packets are counted only. `feed_small`
+    may be called by several threads. All other calls that change the state go through `alone`,
+    unless the owner has only one thread.
 
-    `feed_small(shared, data, data_len, target)` is canser_stream_feed: it decodes up to 1 MiB, and
-    returns the number of frames. Over FRAMES_MOST: the target is full, and so many times 2**32
-    bytes are left. -1: nothing was done; `feed` will do it, or tell what is wrong.
+    `feed_small(shared, data, data_len, target)` is canser_stream_feed. It decodes up to 1 MiB, and
+    returns the number of frames. A number over FRAMES_MOST means that the target is full: its upper
+    32 bits are the number of bytes left, the lower 32 the frames. -1 means that nothing was done:
+    `feed` does it, or raises.
     """
 
     def __init__(self, protocol: Protocol, tick_ns: int, *, keeps_controls: bool = True) -> None:
@@ -70,12 +72,12 @@ class Stream:
         self._state = ffi.addressof(self.shared, "decoder")
         self.counters_now = self._state.stats  # canser_stats
         self.feed_small: Callable[..., int] = lib.canser_stream_feed
-        # For all but `feed_small`. Reentrant: so a signal handler is refused, and does not wait
-        # for the thread that it has interrupted.
+        # For all calls but `feed_small`. The lock is reentrant, so that a signal handler gets an
+        # error. Otherwise it would wait for the thread that it has interrupted, for ever.
         self._lock = threading.RLock()
         self._working = False
-        # The batch and the bytes used, in one piece: what a call has found is read at
-        # once, for each read costs as much as the decoding of some frames.
+        # The batch and the bytes used are one array, and are read at once: each read of its own
+        # would take as long as decoding some frames.
         self._memory = ffi.new("size_t[]", _BATCH_WORDS + 1)
         self._batch = ffi.cast("canser_batch *", self._memory)
         self._used = self._memory + _BATCH_WORDS
@@ -88,9 +90,9 @@ class Stream:
         *args: _Arguments.args,
         **kwargs: _Arguments.kwargs,
     ) -> _Result:
-        """Return what `work` returns, while no other thread changes the state.
+        """Call `work` while no other thread changes the state; return what it returns.
 
-        RuntimeError where this thread does so already: in a signal handler.
+        RuntimeError if this thread is in such a call already: this one is in a signal handler.
         """
         with self._lock:
             if self._working:
@@ -100,7 +102,7 @@ class Stream:
                 )
             try:
                 self._working = True
-                # A small call of another thread may be under way: at most 1 MiB.
+                # Another thread may be in a small call, which takes at most 1 MiB.
                 while not lib.canser_stream_take(self.shared):
                     time.sleep(0)
                 return work(*args, **kwargs)
@@ -109,13 +111,13 @@ class Stream:
                 lib.canser_stream_release(self.shared)
 
     def feed_to_new(self, data: bytes) -> FrameArray | None:
-        """Decode up to SMALL_MOST bytes into a new array; None: nothing was done, as above."""
+        """Decode up to SMALL_MOST bytes into a new array; None if nothing was done, as above."""
         room = _take_room()
         found = self.feed_small(self.shared, data, len(data), room[1])
         return None if found < 0 else _copy(room, found)
 
     def aim_at(self, out: Pointer, cap: int, at: Pointer, ends: Pointer = ffi.NULL) -> None:
-        """Tell where frames, offsets and ends go by pointers, which must stay good."""
+        """Set where frames, offsets and ends go; the pointers must stay good."""
         batch = self._batch
         batch.frames, batch.frame_cap, batch.offsets, batch.ends = out, cap, at, ends
         if self._keeps_controls and not batch.controls:
@@ -124,7 +126,7 @@ class Stream:
             batch.control_cap = _CONTROL_CAP
 
     def aim_at_target(self, target: Pointer, count: int) -> None:
-        """Tell that frames go into a target behind the first `count`."""
+        """Set a target for the next frames, behind its first `count`."""
         at = target.offsets and target.offsets + count
         ends = target.ends and target.ends + count
         self.aim_at(target.frames + count, target.frame_cap - count, at, ends)
@@ -145,7 +147,7 @@ class Stream:
         return found
 
     def advance(self, data: Pointer, data_len: int, stop: int) -> int:
-        """Decode as `feed` does what starts before `stop`, hold nothing; return the frames."""
+        """Decode what starts before `stop`, and hold no bytes; return the number of frames."""
         status = lib.canser_decoder_advance(
             self._state, data, data_len, stop, self._batch, self._used
         )
@@ -154,7 +156,7 @@ class Stream:
         return int(self._batch.frame_count)
 
     def join(self, chunk: "ParallelChunk") -> bool:
-        """Go on over a chunk, if it starts where the stream stands; else return False."""
+        """Go on behind a chunk if it starts where the stream stands; else return False."""
         status = lib.canser_decoder_join(self._state, chunk.state, chunk.frames_at)
         if status == lib.CANSER_MISMATCH:
             return False
@@ -163,14 +165,14 @@ class Stream:
         return True
 
     def flush(self) -> int:
-        """End the stream; return the frames. Again while bytes are pending."""
+        """End the stream; return the number of frames. Call again while bytes are pending."""
         status = lib.canser_decoder_flush(self._state, self._batch)
         if status:
             raise_status(status)
         return int(self._batch.frame_count)
 
     def controls(self) -> npt.NDArray[np.void] | None:
-        """Return a copy of the control packets of the last call but a small one, None for none."""
+        """Return the last call's control packets, copied; None for none, and after a small call."""
         found = self._batch.control_count
         return copy_records(self._controls[:found]) if found else None
 
@@ -199,10 +201,10 @@ class Stream:
 
 
 class ParallelChunk:
-    """A stretch of a stream, decoded by a guess into room of its own.
+    """A stretch of a stream, decoded from a guess into its own room.
 
-    `frames` has room for `cap` frames, `offsets` for as many if they are asked for.
-    For one thread at a time.
+    `frames` has room for `cap` frames, and `offsets` for their offsets where they are asked for.
+    It is used by one thread at a time.
     """
 
     def __init__(self, protocol: Protocol, tick_ns: int, cap: int, *, offsets: bool) -> None:
@@ -213,7 +215,7 @@ class ParallelChunk:
         self._batch = ffi.new("canser_batch *")
         self._take_room(np.empty(cap, FRAME_DTYPE))
         if self.offsets is not None:
-            # The pointer in a struct holds nothing: the array is held here.
+            # A pointer in a struct keeps nothing alive: this object keeps the array.
             self._batch.offsets = ffi.from_buffer("int64_t[]", self.offsets)
         self._batch.controls = ffi.from_buffer("canser_control[]", self._controls)
         self._batch.control_cap = _CONTROL_CAP
@@ -224,7 +226,7 @@ class ParallelChunk:
         self._batch.frames, self._batch.frame_cap = self.frames_at, len(room)
 
     def decode(self, data: Pointer, data_len: int, first: int, stop: int, offset: int) -> None:
-        """Decode what starts in data[first..stop); `offset` is the stream's at data[0]."""
+        """Decode what starts in data[first..stop); `offset` is the stream offset of data[0]."""
         row, tick_ns = row_of(self._protocol), self._tick_ns
         status = lib.canser_chunk_decode(
             self.state, row, tick_ns, data, data_len, first, stop, offset, self._batch
@@ -247,9 +249,9 @@ class ParallelChunk:
         lib.canser_chunk_deliver(self.state, self.frames_at, first, count, out)
 
     def make_room(self) -> FrameArray:
-        """Return an array that should do for the next stretch, by what is in this one.
+        """Return an array for the next stretch, a quarter longer than this one's frames need.
 
-        Where it does not, the stretch ends early.
+        If it is too short, the next stretch ends early.
         """
         return np.empty(min(self.count * 5 // 4 + 1024, self._most), FRAME_DTYPE)
 
@@ -266,9 +268,8 @@ def unpack_controls(rows: npt.NDArray[np.void]) -> list[Control]:
     return [Control(int(row["offset"]), row["bytes"][: row["len"]].tobytes()) for row in rows]
 
 
-# Rooms that are free, with targets for them: one for each thread that has needed one. To copy
-# frames from there takes a third of the time in which an array is made for the most frames and
-# then cut.
+# Free rooms for frames, each with a target: as many as threads have needed at once. A copy out of
+# such a room takes a third of the time of a new array for the most frames, cut afterwards.
 _free_rooms: Final[list[tuple[Pointer, Pointer]]] = []
 
 
@@ -281,7 +282,7 @@ def _take_room() -> tuple[Pointer, Pointer]:
 
 
 def _copy(room: tuple[Pointer, Pointer], count: int) -> FrameArray:
-    """Return the first frames of a room in a new array; the room is free again."""
+    """Return the first frames of a room in a new array, and free the room."""
     frames = np.empty(count, FRAME_DTYPE)
     ffi.memmove(frames, room[0], count * _FRAME_SIZE)
     _free_rooms.append(room)
