@@ -1,4 +1,4 @@
-"""What C knows without any data: the protocols, and the names of its numbers."""
+"""Facts that C knows without any data: the protocols, and the names of its numbers."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -28,11 +28,11 @@ class Protocol:
     frame_max: int
     #: Whether frames carry a device timestamp.
     has_clock: bool
-    #: Bits a second of the serial line, as adapters come.
+    #: Baud rate of the serial line as adapters are delivered, in bit/s.
     baudrate: int
-    #: Bits a second of the bus that an adapter can be configured to; empty: to none.
+    #: Bit rates of the bus that an adapter can be configured to, in bit/s; empty: to none.
     bitrates: tuple[int, ...]
-    #: The packet that asks whether the adapter is in step; empty: there is none.
+    #: The packet to which an adapter in step answers; empty: there is none.
     ping: bytes
     #: The packet that asks for the adapter's status; empty: there is none.
     status_request: bytes
@@ -44,7 +44,7 @@ class Protocol:
 
 
 def text(pointer: Pointer) -> str:
-    """Return a text of C."""
+    """Return a C string as a string."""
     return str(ffi.string(pointer).decode("ascii"))
 
 
@@ -93,8 +93,8 @@ REJECT_NAMES: Final = tuple(
 MODE_NAMES: Final = tuple(text(lib.canser_mode_name(mode)) for mode in range(lib.CANSER_MODE_COUNT))
 
 
-# What frames are called that a format cannot carry, by the numbers that `refuse` gives; the
-# first one stands for frames that it can.
+# The kinds of frames that a format cannot carry, by the numbers that `refuse` returns. The first
+# name stands for frames that it can carry.
 REFUSAL_NAMES: Final = tuple(
     text(lib.canser_refusal_name(refusal)) for refusal in range(lib.CANSER_REFUSAL_COUNT)
 )
@@ -117,5 +117,5 @@ def find_protocol(name: str) -> Protocol:
 
 
 def row_of(protocol: Protocol) -> Pointer:
-    """Return the row of a protocol, as the functions of C take it."""
+    """Return the row of a protocol, as C's functions take it."""
     return _ROWS[protocol.name]
