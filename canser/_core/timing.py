@@ -1,4 +1,4 @@
-"""The times of frames: what C does for each of them, and the memory for it."""
+"""The times of frames: C's work for each frame, and its memory."""
 
 from typing import Final
 
@@ -18,22 +18,22 @@ _MOST: Final = 2 ** (8 * ffi.sizeof("size_t")) - 1
 
 
 def pieces_at(rows: Times) -> Pointer:
-    """Return a pointer to rows of stream offsets and times, as pieces; it holds the array."""
+    """Return a pointer to rows of stream offsets and times, for C; it keeps the array alive."""
     return ffi.from_buffer("canser_piece[]", rows)
 
 
 class FrameTiming:
     """Gives the frames of one stream their times; see canser_timing_assign.
 
-    `tick_ns`: the unit of the device's times, 0 without them; with `keeps_device` frames keep
-    these. `byte_ns`: what a byte takes on the line; 0: all bytes of a piece have the time of the
-    last one. The others are those of `canser_timing` and `canser_trust`.
+    `tick_ns` is the unit of the device's times, 0 if there are none. With `keeps_device` frames
+    keep these times. `byte_ns` is the time of a byte on the line; with 0 all bytes of a piece have
+    the time of its last byte. The other parameters are those of `canser_timing` and `canser_trust`.
 
-    Which turn of its 32-bit counter a device's clock is in is told by the arrivals. It is right as
-    long as these are late by less than half a turn, what two clocks differ by after a silence
-    included: by 35.8 minutes of microseconds, 24.9 days of milliseconds, 2.1 s of nanoseconds
-    (50 ppm make that in 11.9 hours). Frames that are later may be whole turns off; and, if more
-    than 15 come together, all behind them.
+    The device's clock is a 32-bit counter, and the arrivals tell which turn it is in. That is right
+    as long as arrivals are late by less than half a turn: by 35.8 minutes of microseconds, 24.9
+    days of milliseconds, 2.1 s of nanoseconds. What two clocks differ by after a silence counts,
+    too: at 50 ppm the 2.1 s are reached in 11.9 hours. Frames that are later may be whole turns
+    off. If more than 15 of them come together, all frames behind them may be, too.
     """
 
     def __init__(
@@ -65,10 +65,10 @@ class FrameTiming:
             self._make_room()
 
     def assign(self, pieces: Pointer, piece_count: int, room: FrameRoom, count: int) -> int:
-        """Give frames of the room their times, up to `count`; return BUCKET, SILENCE, or 0.
+        """Give the room's frames up to `count` their times; return BUCKET, SILENCE, or 0.
 
-        `pieces`: as `pieces_at` returns it. With device times the offsets of the room count, else
-        where its frames end.
+        `pieces` is a pointer from `pieces_at`. The time of a frame is that of the room's `offsets`
+        with device times, else that of its `ends`.
         """
         timing = self._timing
         while True:
@@ -84,29 +84,29 @@ class FrameTiming:
             self._make_room()
 
     def set_byte_time(self, byte_ns: float) -> None:
-        """Set what a byte takes on the line."""
+        """Set the time of a byte on the line."""
         self._timing.byte_ns = byte_ns
 
     def set_line(self, device: int, host: int, drift: float) -> None:
-        """Have the host's time be `host` when the device's is `device`."""
+        """Set the line: the host's time is `host` when the device's time is `device`."""
         line = self._timing.line
         line.device, line.host, line.drift = device, host, drift
         self._timing.has_line = 1
 
     def forget_line(self) -> None:
-        """Have frames keep their arrivals."""
+        """Forget the line, so that frames keep their arrivals."""
         self._timing.has_line = 0
 
     def trust(self, reached: int, late_ns: int) -> None:
-        """Say which times of the line are believed.
+        """Set which times of the line are believed.
 
-        `reached`: a device time of the past. `late_ns`: how far a host time may lie before its
+        `reached` is a device time of the past. `late_ns` is how far a host time may lie before its
         arrival.
         """
         self._timing.trust.reached, self._timing.trust.late = reached, late_ns
 
     def stop_at(self, count: int | None) -> None:
-        """Let so many samples be enough; None: as many as a bucket takes."""
+        """Stop at `count` samples; None: at as many as a bucket takes."""
         self._timing.bucket_most = _MOST if count is None else count
 
     def take_samples(self) -> npt.NDArray[np.void]:
@@ -116,7 +116,7 @@ class FrameTiming:
         return self._samples[:count]
 
     def drop_samples(self) -> None:
-        """Forget the samples, and the frames of the piece at hand."""
+        """Forget the samples, and the frames of the current piece."""
         self._timing.sample_count = self._timing.least_late.count = 0
 
     def _make_room(self) -> None:
