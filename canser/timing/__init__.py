@@ -1,1 +1,1 @@
-"""Private: the clocks of devices and of the host, and what a clock's restart is."""
+"""Private: the clocks of devices and of the host, and the rule for a clock's restart."""
