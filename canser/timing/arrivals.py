@@ -1,4 +1,4 @@
-"""When bytes came: bytes with their arrival, and the rule that dates the earlier ones of them."""
+"""Times at which bytes had come: by reads of a port, or by blocks of a recording."""
 
 from typing import Final, NamedTuple
 
@@ -9,30 +9,30 @@ from canser._core.timing import pieces_at
 
 __all__ = ["Arrivals", "DataBlock", "DataRun", "count_back"]
 
-# Before all arrivals: the time of the read before the first.
+# A time before all arrivals: that of the read before the first one.
 NEVER_NS: Final = -(2**62)
 
-# A line has no bit rate of its own if since some read more bytes came than it says, by as much in
-# time of the line. That read may have been stamped too late by that: the time that this process
-# waited between a read and the look at the clock, mostly for Python's lock.
+# The line has no bit rate of its own if reads bring more bytes than the rate allows, by this much
+# time of the line since some earlier read. A smaller excess may be a late time of that earlier
+# read: the process may wait between a read and its look at the clock, mostly for Python's lock.
 _EXCESS_NS: Final = 100_000_000
 
-# A read that holds less than could have come since the one before has emptied what the system
-# held. Others may take what was there before: since when is not known at the start and behind a
-# gap, but 64 KiB, as much as a system holds, take 6 s at 115,200 baud.
+# How long bytes may have been held when a read takes them. At the start, and behind a gap, the
+# system may hold 64 KiB, which take 6 s at 115,200 baud. Later a read that is shorter than the line
+# allows has emptied what the system held, and tells since when the next bytes can have come.
 _HELD_NS: Final = 10_000_000_000
 
-# Bit rates are off by some percent: 2.1 where a clock of 16 MHz makes 115,200 baud.
+# Bit rates are off by up to some percent: 115,200 baud made from 16 MHz is off by 2.1 %.
 _RATE_SLACK: Final = 0.97
 
-# Up to so many reads are looked at one by one.
+# Up to this many reads are added one by one: for fewer, numpy takes longer.
 _FEW: Final = 8
 
 
 class DataBlock(NamedTuple):
-    """Some bytes of a line, and when they came."""
+    """Bytes of a line, and the time when they had come."""
 
-    #: The bytes; none where bytes were lost that no others followed.
+    #: The bytes; none for a loss that no bytes followed.
     data: memoryview | bytes
     #: When the last of them had come, in epoch nanoseconds.
     arrival_ns: int
@@ -45,7 +45,7 @@ class DataBlock(NamedTuple):
 class DataRun(NamedTuple):
     """The bytes of some blocks, one behind the other, with nothing missing between them."""
 
-    #: The bytes, good until the next run; none where bytes were lost that no others followed.
+    #: The bytes, good until the next run; none for a loss that no bytes followed.
     data: memoryview
     #: Where in `data` each block ends: ascending, the last one at its end.
     ends: Times
@@ -58,43 +58,43 @@ class DataRun(NamedTuple):
 
 
 def count_back(arrival_ns: int, byte_count: int, byte_ns: float, earliest_ns: int) -> int:
-    """Return when a byte came that so many bytes came behind, the last of them at `arrival_ns`.
+    """Return when a byte had come: `byte_count` bytes before the one that came at `arrival_ns`.
 
-    Bytes come one behind the other, each after `byte_ns` nanoseconds of the line. But what was
-    read later than something else did not come before it, even where the line is faster than
-    its bit rate says: `earliest_ns` is when the bytes before had come.
+    Bytes come one behind the other, each after `byte_ns` nanoseconds of the line. But a byte did
+    not come before the bytes of the read before, even if the line is faster than its bit rate says.
+    `earliest_ns` is the arrival of these.
     """
     return max(arrival_ns - int(byte_count * byte_ns), min(earliest_ns, arrival_ns))
 
 
 class Arrivals:
-    """When the bytes of a stream had come, by the reads of a port or the blocks of a recording.
+    """Tells when the bytes of a stream had come, by reads of a port or blocks of a recording.
 
-    `byte_ns`: the time of a byte on the line. Terminals over USB without a line behind them,
-    pseudo terminals and sockets name a bit rate, too, and keep to none. Where reads hold more
-    bytes than can have come since those before, the rate is disproved: from the first such read
-    on nothing is counted back. With `keeps_rate` it is never.
+    `byte_ns` is the time of a byte on the line. Pseudo terminals, sockets and USB terminals without
+    a line behind them name a bit rate, too, but do not keep to it. If reads bring more bytes than
+    can have come since earlier reads, the rate is disproved: from the first such read on, no byte
+    is counted back. With `keeps_rate` the rate is never disproved.
     """
 
     def __init__(self, byte_ns: float, *, keeps_rate: bool = False) -> None:
         self._keeps_rate = keeps_rate
         self._least_ns = byte_ns * _RATE_SLACK
-        # The offset behind each read, and its time. The first one holds no byte that is still
-        # asked for: it tells when the next one began.
+        # The offset behind each read, and its time. The first row only tells when the second read
+        # began: no byte of it is asked for any more.
         self._use(np.empty((64, 2), np.int64))
         self._begin, self._end = 0, 1
         self._rows[0] = 0, NEVER_NS
         #: The offset behind all that has arrived, and when the last of it had.
         self.end, self.last_ns = 0, NEVER_NS
-        # By how much more time bytes took than there was, since the read for which that is most;
-        # less than zero where more may have been held.
+        # By how much the bytes since some read took longer than the time since then, for the read
+        # where that is most. It is negative where more bytes may have been held.
         self._excess_ns = -_HELD_NS
         self.unrated_from: int | None = None  # the offset from which on nothing is counted back
 
     def add(self, end: int, ns: int) -> None:
-        """Take note that the bytes up to offset `end` had come by `ns`, epoch nanoseconds.
+        """Note that the bytes up to offset `end` had come by `ns`, epoch nanoseconds.
 
-        In order; a time before that of the last read counts as that.
+        Calls are in order. A time before that of the last read counts as that of the last read.
         """
         if self._end == len(self._rows):
             self._make_room(1)
@@ -114,7 +114,7 @@ class Arrivals:
             self.unrated_from = before_end
 
     def extend(self, ends: Times, times: Times) -> None:
-        """Take note of several reads, as `add` does of one."""
+        """Note several reads, as `add` does for one."""
         count = len(ends)
         if count <= _FEW:
             for end, ns in zip(ends.tolist(), times.tolist(), strict=True):
@@ -130,7 +130,7 @@ class Arrivals:
         self.end, self.last_ns = rows[-1].tolist()
         if self.unrated_from is not None or self._keeps_rate:
             return
-        # What `add` does one by one: a sum that is raised to zero before each step down.
+        # The same as calls of `add` one by one: a sum, raised to zero before each step down.
         sizes, spans = np.diff(rows, axis=0).T
         steps = np.maximum((sizes * self._least_ns).astype(np.int64) - spans, -_HELD_NS)
         total = self._excess_ns + np.cumsum(steps)
@@ -143,7 +143,7 @@ class Arrivals:
         self._excess_ns = int(excess[-1])
 
     def gap(self) -> None:
-        """Take note that the stream was interrupted: the next read may hold bytes of any age."""
+        """Note that the stream was interrupted: the next read may hold bytes of any age."""
         self._excess_ns = -_HELD_NS
 
     @property
@@ -153,13 +153,13 @@ class Arrivals:
 
     @property
     def kept(self) -> tuple[Pointer, int]:
-        """Where these begin in memory, and how many there are; good until reads are added."""
+        """Where `pieces` begin in memory, and how many there are; good until reads are added."""
         return self._at + self._begin, self._end - self._begin
 
     def forget_before(self, offset: int) -> None:
-        """Forget the reads that hold no byte from this offset on, all but the last of them."""
+        """Forget the reads before the one that holds this offset, all but the last of them."""
         at, begin = self._at, self._begin
-        # Mostly one or two: a search would take longer.
+        # One or two mostly: a binary search would take longer.
         while begin + 1 < self._end and at[begin + 1].end <= offset:
             begin += 1
             if begin == self._begin + _FEW:
