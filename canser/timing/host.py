@@ -1,4 +1,4 @@
-"""The host's clock: epoch nanoseconds that do not step, and where the system's clock does."""
+"""The host's clock, which does not step, and a watch for steps of the system's clock."""
 
 import functools
 import sys
@@ -8,8 +8,8 @@ from typing import Final
 
 __all__ = ["ClockSteps", "HostClock", "describe_step"]
 
-# A step of the system's clock that is told. Smaller ones are corrections of a clock that is right
-# already, which a network time service mostly makes by a slower or faster rate.
+# The least step of the system's clock that is reported. Smaller ones are corrections by a network
+# time service, which mostly changes the clock's rate instead.
 _STEP_NS: Final = 1_000_000_000
 
 
@@ -19,7 +19,7 @@ class HostClock:
     def __init__(self) -> None:
         self._steady: Callable[[], int] = time.monotonic_ns
         if sys.platform == "linux":
-            # It goes on while the machine sleeps, as Linux' monotonic clock does not.
+            # This clock goes on while the machine sleeps. Linux's monotonic clock does not.
             self._steady = functools.partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME)
         self._base = time.time_ns() - self._steady()
 
@@ -33,13 +33,13 @@ class ClockSteps:
 
     def __init__(self, clock: Callable[[], int]) -> None:
         self._clock = clock
-        #: What the system's clock is ahead of the other one, in nanoseconds, as of the last step.
+        #: How far the system's clock was ahead of the other one at the last step, in nanoseconds.
         self.ahead_ns = 0
 
     def look(self) -> int:
         """Return by how many nanoseconds the system's clock was set since the last call; mostly 0.
 
-        Steps of less than a second are not told.
+        Steps of less than a second give 0.
         """
         ahead_ns = time.time_ns() - self._clock()
         step_ns = ahead_ns - self.ahead_ns
@@ -50,7 +50,7 @@ class ClockSteps:
 
 
 def describe_step(step_ns: int) -> str:
-    """Say by how much the system's clock was set."""
+    """Return a text that says by how much the system's clock was set."""
     return (
         f"the host's clock was set {'forward' if step_ns > 0 else 'back'} by "
         f"{abs(step_ns) / 1e9:,.1f} s"
