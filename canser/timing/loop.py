@@ -13,22 +13,23 @@ from canser.timing.clocks import FrameClock
 
 __all__ = ["TimedDecoder"]
 
-# Of many frames so many are decoded before they get their times: few enough that they are still in
-# the cache.
+# Frames that are decoded before they get their times: few enough to be still in the cache.
 _TIMED_AT_ONCE: Final = 16384
 
 
 class TimedDecoder:
     """Decodes one stream of timed bytes into arrays that its owner gives.
 
-    The owner tells `clock.arrivals` when bytes have come, gives these bytes to `feed`, calls
-    `flush` and `gap` where bytes are missing, and `assign_times` before it takes frames. What
-    comes out does not depend on how bytes are cut into calls, nor on the size of the arrays.
+    The owner notes in `clock.arrivals` when bytes have come, gives these bytes to `feed`, calls
+    `flush` and `gap` where bytes are missing, and calls `assign_times` before it takes frames. The
+    frames do not depend on how bytes are cut into calls, nor on the lengths of the arrays.
 
-    `byte_ns`: what a byte takes on the line. With `device_time` frames keep the times of the
-    device's clock. `recorded`: the bytes come in blocks of a recording. For one thread at a time.
+    `byte_ns` is the time of a byte on the line. With `device_time` frames keep the times of the
+    device's clock. With `recorded` the bytes come in blocks of a recording. A decoder is used by
+    one thread at a time.
 
-    No exception, of Ctrl-C either, loses a frame: `count` tells how many frames the array has.
+    No exception loses a frame, not even one of Ctrl-C: `count` is always the number of frames in
+    the array.
     """
 
     def __init__(
@@ -54,11 +55,12 @@ class TimedDecoder:
     def use(self, frames: FrameArray, offsets: Offsets | None = None, *, kept: int = 0) -> None:
         """Put the next frames into an array, behind `kept` frames that are finished.
 
-        `offsets`: int64 or uint64, as long as `frames`: where each frame begins in the stream.
+        `offsets` is an array of int64 or uint64 as long as `frames`, for the stream offset of each
+        frame.
         """
         begins = None if offsets is None else offsets.view(np.int64)
         ends = None
-        # Where the byte is whose time counts.
+        # Room for the offset of the byte whose time is the frame's.
         if not self.clock.by_begin:
             ends = self._use_scratch(len(frames))
         elif begins is None:
@@ -78,7 +80,7 @@ class TimedDecoder:
 
     @property
     def timed(self) -> int:
-        """How many frames of the array have their times, the first ones."""
+        """How many frames of the array have their times; they are the first ones."""
         return self._room.timed
 
     @property
@@ -110,17 +112,17 @@ class TimedDecoder:
             self.assign_times()
 
     def flush(self, most: int) -> None:
-        """End the packet that is held, and decode the rest of its bytes until there are `most`.
+        """End the held packet, and decode the rest of its bytes until there are `most` frames.
 
-        Again with more room while `decoder.pending` is not 0.
+        Call again with more room while `decoder.pending` is not 0.
         """
         self.decoder.flush_room(self._room, self.count, most)
 
     def gap(self) -> None:
-        """Go on behind a gap. What was held before it is flushed."""
+        """Go on behind a gap. The bytes held before it are flushed."""
         self.assign_times()
         self.clock.gap()
 
     def assign_times(self) -> None:
-        """Give the frames that have none their times."""
+        """Set the times of the frames that have none yet."""
         self.clock.assign_times(self._room, self.count, self.border)
