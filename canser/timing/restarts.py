@@ -1,4 +1,4 @@
-"""Where a clock restarts, and which of its times are false: told from the times alone."""
+"""Restarts of a clock, and false times, found from the times alone."""
 
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -9,19 +9,19 @@ import numpy.typing as npt
 
 __all__ = ["Clock"]
 
-# A step back of up to this is disorder: an adapter with several mailboxes reports frames out
-# of order by milliseconds, a log of several lines by the time of a read. A longer step back
-# is a restart, or a false time. Assumption: each run of a device, or capture that others are
-# joined to, lasts longer than this; a shorter one adds no time.
+# A step back of up to this is disorder. An adapter with several mailboxes reports frames out of
+# order by milliseconds, and a log of several lines by the time of a read. A longer step back is a
+# restart, or a false time. Assumption: each run of a device lasts longer than this, and so does
+# each capture that others are joined to. A shorter one adds no time.
 _DISORDER_NS: Final = 1_000_000_000
 
-# So many times in a row may be false, as in the rule of the decoder (csrc/clock.h): on a line
-# that damages 1 byte in 100, 1 frame in 25 has a false time, and 5 in a row 1 in 10 million.
+# The most false times in a row, as in the rule of the decoder (csrc/clock.h). On a line that
+# damages 1 byte in 100, 1 frame in 25 has a false time, and 5 in a row 1 in 10 million.
 _FALSE_MOST: Final = 4
 
-# A single time that is further than this from all others of its stretch, at the beginning or
-# the end of it, is false. A step of this length elsewhere is a silence: there are times on
-# both sides that bear each other out.
+# A single time that is further than this from all others of its stretch, at the stretch's beginning
+# or end, is false. A step of this length elsewhere is a silence: there are times on both sides that
+# confirm each other.
 _SILENCE_NS: Final = 3_600 * 10**9
 
 
@@ -29,24 +29,24 @@ _SILENCE_NS: Final = 3_600 * 10**9
 class _Stretch:
     """Believed times from one restart to the next, each at most `_DISORDER_NS` before the last."""
 
-    number: int  # no other stretch of the clock has it
+    number: int  # different for each stretch of the clock
     first: int
     count: int = 1
-    recent: list[int] = field(default_factory=list)  # the last ones, at most `_FALSE_MOST` + 1
+    recent: list[int] = field(default_factory=list)  # the last times, at most `_FALSE_MOST` + 1
 
     def fits(self, time: int) -> bool:
-        """Whether a time goes on from the last one."""
+        """Whether a time continues from the last one."""
         return time >= self.recent[-1] - _DISORDER_NS
 
     def add(self, times: list[int], count: int) -> None:
-        """Go on with `count` times, of which these are the last."""
+        """Add `count` times, of which `times` are the last."""
         self.count += count
         self.recent = [*self.recent, *times][-_FALSE_MOST - 1 :]
 
     def drop_last(self, time: int) -> int:
-        """Drop the fewest of the last times from before which this one goes on; return how many.
+        """Drop the fewest last times from before which `time` continues; return their number.
 
-        Each of them must be far from the one before it, and half of all are left at least.
+        Each of them must be far from the one before it, and at least half of all times stay.
         """
         for count in range(1, min(len(self.recent) - 1, max(self.count // 2, 1)) + 1):
             if self.recent[-count] - self.recent[-count - 1] <= _DISORDER_NS:
@@ -58,7 +58,7 @@ class _Stretch:
         return 0
 
     def drop_first(self) -> int:
-        """Drop the first of three times if it is far from the others; return how many."""
+        """Drop the first of three times if it is far from the others; return the number dropped."""
         before, after = (b - a for a, b in pairwise(self.recent))
         if before <= _SILENCE_NS or after > _SILENCE_NS:
             return 0
@@ -81,12 +81,12 @@ class _Stretch:
 class Clock:
     """Times in the order in which they came, as stretches between restarts.
 
-    At a step back of more than a second the times right before it, or right behind it, are
-    false if times go on forward without them: the fewest that do, at most 4. If none do, the
-    clock has restarted there. A time alone between two restarts is false. A step forward of any
-    length is a silence: a clock that restarts at a later time looks the same.
+    At a step back of more than a second, the times right before it or right behind it are false if
+    times go on forward without them: the fewest that do, at most 4. If there are none, the clock
+    has restarted there. A time alone between two restarts is false. A step forward of any length is
+    a silence: a clock that restarts at a later time looks the same.
 
-    Times are judged one after the other: cut into any pieces they give the same.
+    Times are judged one after the other, so the result does not depend on how they are cut.
     """
 
     _closed: int = 0  # stretches that are over
@@ -108,7 +108,7 @@ class Clock:
 
     @property
     def false_times(self) -> int:
-        """How many times are false: they take no part in all else here."""
+        """How many times are false. All other results leave them out."""
         real = self._open()
         every = [one for one in (self._before, self._now) if one is not None]
         others = sum(one.count for one in every) - sum(one.count for one in real)
@@ -137,7 +137,7 @@ class Clock:
         return self._closed_ns + sum(one.last - one.first for one in self._open())
 
     def add(self, times: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """Go on with times; return for each the number of its stretch.
+        """Add times; return the number of its stretch for each.
 
         There is no restart between two times of one number.
         """
@@ -160,7 +160,7 @@ class Clock:
         return numbers
 
     def _add_one(self, time: int) -> int:
-        """Go on with one time; return the number of its stretch."""
+        """Add one time; return the number of its stretch."""
         if self._now is None:
             return self._begin(time)
         now = self._now
@@ -183,7 +183,7 @@ class Clock:
         return self._begin(time)
 
     def _return_or_stay(self, before: _Stretch, now: _Stretch, time: int) -> _Stretch:
-        """Return the stretch that a time goes on from, of the two at the last step back."""
+        """Return the stretch that a time continues, of the two at the last step back."""
         if now.count <= max(before.count // 2, 1):
             if not before.fits(time):
                 self._closed_false += before.drop_last(time)
@@ -216,7 +216,7 @@ class Clock:
         self._closed_false += stretch.false_end
 
     def _open(self) -> list[_Stretch]:
-        """Return the stretches that are not over, without those of one time alone."""
+        """Return the stretches that are not over, without those of a single time."""
         every = [one for one in (self._before, self._now) if one is not None]
         real = [one for one in every if one.count > 1]
         return real if real or self._closed else every[:1]
@@ -227,7 +227,7 @@ def _steps_back(times: npt.NDArray[np.int64]) -> list[int]:
     before, after = times[:-1], times[1:]
     back = np.flatnonzero(after < before)
     if len(back):
-        # As unsigned numbers: then the longest step is no overflow.
+        # As unsigned numbers, so that the longest step does not overflow.
         steps = before[back].view(np.uint64) - after[back].view(np.uint64)
         back = back[steps > _DISORDER_NS]
     return (back + 1).tolist()
