@@ -1,65 +1,67 @@
-"""Host times of frames: when their bytes came, and what the device's own clock says.
+"""Host times of frames, from the arrivals of their bytes and from the device's own clock.
 
-Bytes come in pieces: one read of the port each, with the host's time behind it. So two
-things are known of a byte: its piece was there at that time, and the line needs a byte
-time for each byte that came behind it in the piece. That gives its arrival (arrivals.py):
-never earlier than the truth as long as the line is no faster than `byte_ns` says, and late by
-as long as the adapter, the driver and the host kept the piece back. It is never put before the
-arrival of the piece before, so that arrivals never go backwards.
+Bytes come in pieces: a piece is one read of the port, with the host's time behind it. So a byte had
+come by the time of its piece; and the line needs a byte time for each byte behind it in the piece.
+Together they give the byte's arrival (arrivals.py). An arrival is never earlier than the truth, as
+long as the line is no faster than `byte_ns` says. It is late by as long as the adapter, the driver
+and the host held the piece back. It is never put before the arrival of the piece before, so that
+arrivals never go backwards.
 
 A format without a clock has these times only: a frame's time is the arrival of its last byte.
 
-Where the device puts its own time into each frame, the host need not guess when a frame
-was on the bus, only what the device's clock stands at. With the arrival of a frame's first
-byte,
+If the device puts its own time into each frame, the host only needs to find out how its clock and
+the device's clock differ. For the arrival of a frame's first byte,
 
     arrival - device time = offset of the clocks + drift + delay,    delay >= 0
 
-A delay is milliseconds as a rule, and seconds when the host was busy and bytes queued up;
-but in every second some frames come through at once. So the lower envelope is the
-estimate, and late frames do not matter to it:
+A delay is mostly some milliseconds. It is seconds if the host was busy and bytes queued up. But in
+every second some frames come through at once. So the estimate is the lower envelope of the
+differences, and late frames do not change it:
 
-- Each piece gives one *sample*: its frame with the lowest difference, but for false frames. So a
-  burst on a line that is faster than `byte_ns` says, whose first frames seem to come too early, is
-  one sample.
-- Samples are gathered into *buckets* of a second. A bucket gives one *point*: its third lowest
-  difference (of equal ones the first counts as the lowest), because a false frame out of noise,
-  or the first one of a burst, may be lower than all others. Differences over a minute from the
-  bucket's median are false frames', and left out.
-- Where the line is known well, samples that lie below it for the only reason that they were
-  counted back are left out, too: bursts.
-- The *line* lies below the points of the last minutes. The slope is the median over pairs of
-  points a quarter window apart, so one jump of the clock touches at most a third of the pairs.
-  Until there is half a minute of points, and as long as the slopes do not agree, the slope is
-  zero, or what it was before.
-- The points start over when half a minute of them lies 20 ms above the line: the device's clock
-  had stood still. And so they do at a *restart*: a bucket whose device times lie before those
-  of the bucket before, or more than a minute off the line.
-- A silence of ten minutes, too, starts it over: the line does not reach so far.
-- To have an estimate after a few frames, the buckets of the first second are of 4 samples, then
-  of as many as there have been; and so again after a gap.
+- Each piece gives one *sample*: its frame with the lowest difference, without false frames. On a
+  line that is faster than `byte_ns` says, the first frames of a burst seem to come too early. As a
+  burst is one piece, it is one sample.
+- The samples of a second are a *bucket*. A bucket gives one *point*: its third lowest difference
+  (of equal ones the first counts as the lowest). A false frame out of noise, or the first frame of
+  a burst, may be lower than all others. Differences over a minute from the bucket's median are
+  those of false frames, and are left out.
+- Once the line is known well, samples below it are left out, too, if counting back alone has put
+  them there: they are bursts.
+- The *line* lies below the points of the last minutes. Its slope is the median over pairs of points
+  a quarter window apart, so that one jump of the clock changes at most a third of the pairs. Until
+  there is half a minute of points, and while the slopes do not agree, the slope is zero, or what it
+  was before.
+- The points start over if half a minute of them lies 20 ms above the line: the device's clock had
+  stood still. They also start over at a *restart*: the device times of a bucket lie before those of
+  the bucket before, or more than a minute off the line.
+- After a silence of ten minutes the points start over, too: the line does not reach so far.
+- The buckets of the first second have 4 samples, then as many as there have been, so that there is
+  an estimate after a few frames. The same holds after a gap.
 
-A counter of 32 bits tells the device's time but for whole turns. The arrival tells the turn:
-so neither a silence nor false times put a clock a turn off.
+The device's time is a counter of 32 bits. The arrival tells which turn it is in. So neither a
+silence nor false times put the clock a turn off.
 
-The estimate that maps a frame is that of the buckets before its own. A frame keeps its
-arrival where the mapped time is impossible (10 ms after the arrival, or more), implausible
-(a minute before it; two seconds as long as the clock's rate is not known), or before the
-device times of the last bucket: false frames out of noise, and the first ones after a
-restart. No frame has a time after its arrival. All the frames mapped have times that never
-go backwards, in spite of new estimates: a time is held until the others have caught up.
-(One thing cannot be told: while bytes queue for seconds, a false frame that is ahead by less than
-the delay is believed, and holds those behind it.)
+A frame is mapped by the estimate of the buckets before its own. It keeps its arrival if the mapped
+time is
 
-The rate of the device's clock is the median of the last buckets' rates. If that is not
-about the host's own, the unit of its ticks is not what the caller believes, or it is no
-clock at all: all frames keep their arrivals, and `remark` says so.
+- impossible: 10 ms after the arrival, or more;
+- implausible: a minute before the arrival, or two seconds while the clock's rate is not known;
+- before the device times of the last bucket.
 
-C does what is done for each frame (canser_timing_assign), in one pass: it stops where a bucket is
-full or a silence ends, and goes on with what is then known.
+These are false frames out of noise, and the first frames after a restart. No frame has a time after
+its arrival. The times of mapped frames never go backwards when the estimate changes: a time is held
+until the others have caught up. One case cannot be told: while bytes queue for seconds, a false
+frame that is ahead by less than the delay is believed, and holds the frames behind it.
 
-All arithmetic on times is int64, modulo 2**64 as device times are; floats hold small differences
-only (a float64 of epoch nanoseconds resolves 256 ns).
+The rate of the device's clock is the median of the last buckets' rates. If it is far from the
+host's, the caller gave a wrong unit of its ticks, or it is no clock. Then all frames keep their
+arrivals, and `remark` says so.
+
+C does the work for each frame in one pass (canser_timing_assign). It stops where a bucket is full
+or a silence ends, and goes on with what was learned there.
+
+All arithmetic on times is int64 modulo 2**64, like device times. Floats hold small differences
+only: a float64 of epoch nanoseconds resolves 256 ns.
 """
 
 from collections import deque
@@ -81,62 +83,62 @@ __all__ = ["ClockEstimate", "FrameClock"]
 _MS_NS: Final = 1_000_000
 _S_NS: Final = 1_000 * _MS_NS
 
-# How far a mapped time may lie behind the arrival, or a device time before those of the last
-# bucket, before it is taken for wrong: over what the least delay differs by from one second
-# to the next (some frame of a second hits a latency timer of 16 ms early), below most of what
-# bytes out of noise give.
+# The most that a mapped time may lie behind the arrival, or a device time before those of the last
+# bucket. More is taken for wrong. The least delay differs by less from one second to the next: some
+# frame of a second comes early in the latency timer's 16 ms. Bytes out of noise mostly give more.
 _TOLERANCE_NS: Final = 10 * _MS_NS
 
-# The longest that bytes may queue: 64 KiB in the kernel are 6 s of a busy line at 115,200
-# baud, and ten times that of a quiet one. As long as the rate of the clock is not known, a
-# clock that is too slow looks like a queue that grows: then no more than a tick of the
-# coarsest clock, and a second.
+# The longest time that bytes queue: the kernel's 64 KiB are 6 s of a busy line at 115,200 baud, and
+# ten times that of a quiet line. While the clock's rate is not known, a clock that is too slow
+# looks like a queue that grows. So the limit is lower then: a tick of the coarsest clock, and a
+# second.
 _LONGEST_QUEUE_NS: Final = 60 * _S_NS
 _LONGEST_QUEUE_UNPROVEN_NS: Final = 2 * _S_NS
 
 _BUCKET_NS: Final = _S_NS
-_BUCKET_SAMPLES: Final = 8  # at least; the third lowest of fewer is no low one
+_BUCKET_SAMPLES: Final = 8  # at least: of fewer samples, the third lowest is no low one
 _FIRST_SAMPLES: Final = 4
 
-# Over this time a slope that is off by 5 ppm, as of ticks of a millisecond, makes 3 ms.
+# A silence this long starts the points over. An error of the slope of 5 ppm, as ticks of a
+# millisecond give, makes 3 ms over it.
 _SILENCE_NS: Final = 600 * _S_NS
 
-_WINDOW_POINTS: Final = 300  # five minutes of a busy bus, in which crystals are steady
-_STUCK_POINTS: Final = 30  # in a row above the line: no queue lasts as long
+_WINDOW_POINTS: Final = 300  # five minutes of a busy bus; crystals are steady that long
+_STUCK_POINTS: Final = 30  # in a row above the line: no queue lasts half a minute
 _STUCK_NS: Final = 20 * _MS_NS
 
-# By so many points the line is known well. What lies below it by more than that is a burst: least
-# delays of a second that differ by more do so on a quiet line, and there little is counted back.
+# With this many points the line is known well. What lies further below it than _BURST_NS is a
+# burst. On a quiet line the least delays of two seconds may differ by more, but there hardly any
+# byte is counted back.
 _KNOWN_POINTS: Final = 10
 _BURST_NS: Final = 2 * _MS_NS
 
-# A slope needs a span: over 30 s minima that differ by 1 ms give 50 ppm, as much as a crystal is
-# off. It is believed if half of the slopes are within 200 ppm of it: with ticks of a second
-# they are not. The most is beyond what CAN itself bears between two nodes, 1.58 %.
+# A slope needs a span: over 30 s, minima that differ by 1 ms give 30 to 50 ppm, as much as crystals
+# are off. A slope is believed if half of the slopes are within 200 ppm of it; with ticks of a
+# second they are not. The limit is over what CAN itself tolerates between two nodes, 1.58 %.
 _DRIFT_SPAN_NS: Final = 30 * _S_NS
 _DRIFT_POINTS: Final = 10
 _DRIFT_SPREAD: Final = 200e-6
 _DRIFT_MOST: Final = 20_000e-6
 
 _RATES: Final = 8
-_RATES_LEAST: Final = 3  # a median of three stands one jump
-# Between them jitter over a second, beyond them a wrong unit.
+_RATES_LEAST: Final = 3  # a median of three is right in spite of one jump
+# A rate between these limits is jitter over a second; beyond them the unit is wrong.
 _RATE_LEAST: Final = 0.8
 _RATE_MOST: Final = 1.25
 
 
 @dataclass(frozen=True, slots=True)
 class ClockEstimate:
-    """What is known of the device's clock, as compared to the host's; returned by `Port.clock`."""
+    """The device's clock compared with the host's; returned by `Port.clock`."""
 
-    #: Host time less device time, now, in nanoseconds.
+    #: Host time minus device time, now, in nanoseconds.
     offset_ns: int
     #: How much faster the device's clock is than the host's, in millionths; 0 if not known.
     drift_ppm: float
-    #: Half of the last frames were late by no more than this, in nanoseconds, compared to the
-    #: quickest ones.
+    #: Median of how late the last frames were, compared with the quickest ones, in nanoseconds.
     jitter_ns: int
-    #: How many frames the estimate rests on: one of each read.
+    #: Number of frames that the estimate rests on: one of each read.
     frames: int
     #: How often the device's clock jumped.
     restarts: int
@@ -145,14 +147,14 @@ class ClockEstimate:
 class FrameClock:
     """Sets the times of one stream's frames to host times, in epoch nanoseconds.
 
-    `tick_ns`: the unit of the times that come with the frames, of a counter of 32 bits; None for a
-    format without a clock. `byte_ns`: what a byte takes on the line, 10 bits at the baud rate; 0
-    if the line has none. With `device_time` frames keep the times of the device's clock, and the
-    host's clock only tells the turn of the counter. `recorded`: the bytes come in blocks of a
-    recording. A block may be of several reads, as long as counting back gives their times: so
-    without a clock of the device it is done there on any line.
+    `tick_ns` is the unit of the times that come with the frames, a counter of 32 bits; None for a
+    format without a clock. `byte_ns` is the time of a byte on the line, 10 bits at the baud rate; 0
+    if the line has no rate. With `device_time` frames keep the times of the device's clock, and the
+    host's clock only tells the turn of the counter. With `recorded` the bytes come in blocks of a
+    recording. A block may hold several reads if counting back gives their times. So without a
+    device's clock, bytes are counted back there on any line.
 
-    The same reads and frames give the same times wherever `assign_times` calls are cut.
+    The same reads and frames give the same times, however calls of `assign_times` are cut.
     """
 
     def __init__(
@@ -176,24 +178,24 @@ class FrameClock:
             early_ns=_TOLERANCE_NS,
         )
         self._clock = None if tick_ns is None or device_time else _DeviceClock(self._timing)
-        self._rated = True  # as long as it is not known that the line has no bit rate of its own
+        self._rated = True  # until it is known that the line has no bit rate of its own
 
     def gap(self) -> None:
-        """Take note that behind all that has arrived the stream was interrupted.
+        """Note that the stream was interrupted behind all that has arrived.
 
-        All frames before have their times. The device may have been another one meanwhile: its
-        clock has to prove itself again.
+        All frames before it have their times. The device may be another one now: its clock has to
+        prove itself again.
         """
         self.arrivals.gap()
         if self._clock is not None:
             self._clock.gap()
 
     def assign_times(self, room: FrameRoom, count: int, end: int) -> None:
-        """Set the times of the first `count` frames in a room, of those that have none yet.
+        """Set the times of the first `count` frames in a room, for those that have none yet.
 
-        They are those of the decoder, if the format has any. `end`: the offset behind the last
-        packet decoded; what arrived before it is forgotten. ValueError if that lies behind all that
-        has arrived.
+        The frames have the times of the decoder, if the format has any. `end` is the offset behind
+        the last packet decoded; arrivals before it are forgotten. ValueError if `end` lies behind
+        all that has arrived.
         """
         arrivals = self.arrivals
         if end > arrivals.end:
@@ -214,7 +216,7 @@ class FrameClock:
 
     @property
     def remark(self) -> str | None:
-        """What is wrong with the device's clock, so that frames have arrival times; or None."""
+        """What is wrong with the device's clock, so that frames keep arrivals; None if nothing."""
         return None if self._clock is None else self._clock.remark
 
     def _assign(self, room: FrameRoom, count: int) -> None:
@@ -241,7 +243,7 @@ class FrameClock:
         self._rated = False
         self._timing.set_byte_time(0)
         if self._clock is not None:
-            # What was learned from arrivals that were counted back may be too early.
+            # Arrivals that were counted back may be too early, and so what was learned from them.
             self._clock.relearn()
 
 
@@ -252,20 +254,20 @@ class _DeviceClock:
         self.estimate: ClockEstimate | None = None
         self.remark: str | None = None
         self._timing = timing
-        # Buckets are short until a second has passed since the first one, or the first after a gap.
+        # Buckets are short for the first second, and for the first second after a gap.
         self._since: int | None = None
         self._tried = 0  # samples since then
         timing.stop_at(_FIRST_SAMPLES)
-        # Of the frame that was a bucket's minimum: device time, arrival, and their difference.
+        # For the frame that was a bucket's minimum: device time, arrival, and their difference.
         self._points = np.empty((3, 0), np.int64)
-        self._frames = 0  # in the buckets of these points, and before them
-        # The line: the host's time when it was some device time, and the slope.
+        self._frames = 0  # in the buckets of these points, and in those before
+        # The line: the host's time at a device time, and the slope.
         self._device = 0
         self._host: int | None = None
         self._drift = 0.0
-        # Of buckets, a second apart at least: the medians of device times and of arrivals.
+        # For buckets that are at least a second apart: the medians of device times and of arrivals.
         self._middles: deque[tuple[int, int]] = deque(maxlen=_RATES + 1)
-        self._reached = 0  # the last such device time
+        self._reached = 0  # the median device time of the last bucket
         self._longest_queue = _LONGEST_QUEUE_UNPROVEN_NS
         self._restarts = 0
 
@@ -275,7 +277,7 @@ class _DeviceClock:
         self._forget()
 
     def gap(self) -> None:
-        """Doubt what is known: the line stays if the next frames agree with it."""
+        """Doubt the line: it stays if the next frames agree with it."""
         self._timing.drop_samples()  # they may be too few to tell anything
         self._timing.stop_at(_FIRST_SAMPLES)
         self._middles.clear()
@@ -304,14 +306,14 @@ class _DeviceClock:
         settled = int(rows[1, -1]) - self._since >= _BUCKET_NS
         self._timing.stop_at(None if settled else max(_FIRST_SAMPLES, self._tried))
         self._learn(rows)
-        # Also when nothing was learned: the rate may have been.
+        # Also if no line was learned: the rate may have been.
         self._timing.trust(self._reached, self._longest_queue)
 
     def _learn(self, samples: Times) -> None:
         """Learn from samples.
 
-        Rows of device times, arrivals, how far these were counted back, and arrivals less device
-        times.
+        `samples` has the rows device times, arrivals, how far these were counted back, and
+        arrivals minus device times.
         """
         total = samples.shape[1]
         low, usual, high = np.sort(samples[3])[[0, total // 2, -1]].tolist()
@@ -364,12 +366,12 @@ class _DeviceClock:
         device, arrivals, counted, _ = samples
         residuals = self._find_residuals(device, arrivals)
         bursts = (residuals < -_BURST_NS) & (residuals + counted >= -_BURST_NS)
-        # If these are most, it is the line that is too late.
+        # If these are most of the samples, the line is too late.
         few = 0 < np.count_nonzero(bursts) * 2 < len(bursts)
         return np.compress(~bursts, samples, axis=1) if few else samples
 
     def _check_rate(self, device: Times, middle: int, arrival: int) -> None:
-        """Find out how fast the device's clock runs, and say so if it is not a second a second."""
+        """Find the rate of the device's clock; set the remark if it is not a second a second."""
         if not self._middles or arrival - self._middles[-1][1] >= _BUCKET_NS:
             self._middles.append((middle, arrival))
         if len(self._middles) <= _RATES_LEAST:
@@ -387,7 +389,7 @@ class _DeviceClock:
             self.remark = _describe_rate(float(np.mean(agree)), device)
 
     def _jumped(self, device: Times, arrival: Times, middle: int) -> bool:
-        """Tell by a bucket's minimum, as arrays of one, and its middle if the clock jumped."""
+        """Return whether the clock jumped, by a bucket's minimum (arrays of one) and its middle."""
         if self._host is None:
             return False
         residual = self._find_residuals(device, arrival)[0]
@@ -400,7 +402,7 @@ class _DeviceClock:
         device, arrivals, delays = (points - points[:, -1:]).astype(np.float64)
         if count >= _DRIFT_POINTS and -arrivals[0] >= _DRIFT_SPAN_NS:
             lag = count // 4
-            # The points of short buckets may lie closer together, or in one.
+            # The points of short buckets lie closer together.
             apart = np.maximum(arrivals[lag:] - arrivals[:-lag], _BUCKET_NS)
             slopes = (delays[lag:] - delays[:-lag]) / apart
             drift = _middle(slopes)
@@ -416,19 +418,19 @@ class _DeviceClock:
 
 
 def _wrapped(difference: int) -> int:
-    """Return a difference of device times, which may be anything, modulo 2**64."""
+    """Return a difference of device times, which may be any, modulo 2**64."""
     return (difference + 2**63) % 2**64 - 2**63
 
 
 def _middle(values: npt.NDArray[np.float64]) -> float:
-    """Return what np.median does, in a fifth of its time for some hundred values."""
+    """Return the median as np.median does, in a fifth of its time for some hundred values."""
     values = np.sort(values)
     half = len(values) // 2
     return float(values[half] if len(values) % 2 else (values[half - 1] + values[half]) / 2)
 
 
 def _describe_rate(rate: float, device: Times) -> str:
-    """Say how a clock runs that does not run a second a second, and what unit would explain it."""
+    """Return a text on a clock with a wrong rate, with the unit that would explain it."""
     if rate < 1e-8:  # slower than seconds that are taken for nanoseconds, and no noise
         return "the device clock stands still or runs backwards; frames have arrival times"
     fast = max(rate, 1 / rate)
