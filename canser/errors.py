@@ -1,31 +1,57 @@
-"""The exceptions of canser that are not Python's own."""
+"""The exceptions of canser, and its warning.
+
+    Exception
+        CanserError                files and ports
+            FormatError            a file's content
+                ForeignFormatError
+                RecordingError
+            StreamClosedError
+            PortError              ports
+                PortNotFoundError
+                PortDeniedError
+                PortBusyError
+                PortGoneError
+                PortClosedError
+                SendError
+                    SendTimeoutError
+        ValueError                 arguments
+            NoProtocolError
+            WrongProtocolError
+        OSError
+            FileExistsError
+                OutputExistsError
+            BrokenPipeError
+                ReaderGoneError
+    UserWarning
+        CanserWarning
+"""
 
 
 class CanserError(Exception):
-    """What goes wrong with files and ports, apart from the caller's mistakes.
+    """An error with a file or a port that is no mistake of the caller.
 
-    Mistakes of the caller are ValueError, TypeError and BufferError. Noise on
-    the wire is never an exception: it is counted in `Stats`.
+    The caller's mistakes are ValueError, TypeError and BufferError. Noise on the wire never raises
+    an exception: it is counted in `Stats`.
     """
 
 
 class FormatError(CanserError):
-    """A file does not hold what its format promises; the message names the place."""
+    """A file's content is not valid in its format; the message names the place."""
 
 
 class StreamClosedError(CanserError):
-    """The standard input or output is to be used, and the caller has closed it."""
+    """The standard input or output is closed, and the call needs it."""
 
 
 class ForeignFormatError(FormatError):
-    """A file is plainly of another format than raw bytes or a recording.
+    """The file has another format than raw bytes or a recording.
 
     Attributes
     ----------
     what : str
         Which format it is.
     option : str
-        What `format` reads it, "" if canser does not.
+        The `format` that reads it, "" if canser does not.
     """
 
     def __init__(self, message: str, *, what: str, option: str) -> None:
@@ -34,7 +60,7 @@ class ForeignFormatError(FormatError):
 
 
 class NoProtocolError(ValueError):
-    """Raw bytes are to be read, and their protocol is neither given nor plain.
+    """Raw bytes without a protocol, and their content does not tell it.
 
     Attributes
     ----------
@@ -43,8 +69,8 @@ class NoProtocolError(ValueError):
     looks : str
         What the bytes look like, with the name.
     choices : tuple of str
-        The protocols to choose from; the one that fits alone if there is one, with "auto" if
-        that would take it.
+        The protocols to choose from. If only one fits, it is the only one, with "auto" if that
+        would take it.
     """
 
     def __init__(self, name: str, looks: str, choices: tuple[str, ...]) -> None:
@@ -54,7 +80,7 @@ class NoProtocolError(ValueError):
 
 
 class WrongProtocolError(ValueError):
-    """A recording is to be read in another protocol than its own.
+    """The protocol given for a recording is not the recording's.
 
     Attributes
     ----------
@@ -68,19 +94,19 @@ class WrongProtocolError(ValueError):
 
 
 class OutputExistsError(FileExistsError):
-    """The file to write is there already, and must not be replaced."""
+    """The file to write exists, and the call may not replace it."""
 
 
 class ReaderGoneError(BrokenPipeError):
-    """The reader of the standard output has gone, as `head` does."""
+    """The reader of the standard output has ended, as `head` does."""
 
 
 class RecordingError(FormatError):
-    """A recording holds nothing that can be read; the message names the place."""
+    """A recording has nothing that can be read; the message names the place."""
 
 
 class PortError(CanserError):
-    """What goes wrong with a port; the message names it, and the remedy."""
+    """An error with a port; the message names the port, and the remedy."""
 
 
 class PortNotFoundError(PortError):
@@ -88,7 +114,7 @@ class PortNotFoundError(PortError):
 
 
 class PortDeniedError(PortError):
-    """The port is there, and this user may not open it; the message names the group."""
+    """The port exists, and this user may not open it; the message names the group."""
 
 
 class PortBusyError(PortError):
@@ -96,7 +122,7 @@ class PortBusyError(PortError):
 
 
 class PortGoneError(PortError):
-    """The port was there and is no more: unplugged, or the other end has closed it."""
+    """The port has gone: it was unplugged, or the other end has closed it."""
 
 
 class PortClosedError(PortError):
@@ -104,7 +130,7 @@ class PortClosedError(PortError):
 
 
 class SendError(PortError):
-    """Not all frames could be sent.
+    """Some frames were not sent.
 
     Attributes
     ----------
@@ -120,8 +146,8 @@ class SendError(PortError):
 
 
 class SendTimeoutError(SendError):
-    """The adapter, the line or the bus took no more within the time-out."""
+    """The adapter, the line or the bus took no more frames within the timeout."""
 
 
 class CanserWarning(UserWarning):
-    """What a caller should know of a port or a file, and goes on without."""
+    """A message about a port or a file that the work goes on in spite of."""
