@@ -1,4 +1,4 @@
-"""What an adapter understands besides frames: its configuration, and its reports."""
+"""Packets of an adapter besides frames: its configuration, and its reports."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +18,7 @@ __all__ = [
     "report",
 ]
 
-# By whether extended frames are the only ones.
+# The types by the value of "only extended frames": False, True.
 FRAME_TYPES: Final = ("all", "extended")
 
 _ID_MAX: Final = 0x1FFF_FFFF
@@ -26,15 +26,15 @@ _ID_MAX: Final = 0x1FFF_FFFF
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AdapterConfig:
-    """How an adapter is to work on the CAN bus. It is always set as a whole.
+    """How an adapter works on the CAN bus. A configuration is always set as a whole.
 
-    The values are checked here as far as no protocol is needed for it. `configuration`,
-    `canser.open` and `canser.Port.configure` check the bitrate against those of the protocol.
+    Values that depend on no protocol are checked here. `configuration`, `canser.open` and
+    `canser.Port.configure` check the bitrate against those of the protocol.
 
     Attributes
     ----------
     bitrate : int
-        Of the CAN bus, in bit/s.
+        Bit rate of the CAN bus, in bit/s.
     mode : str, default "normal"
         "normal"; "loopback": the adapter receives what it sends itself; "silent": it listens
         only, and acknowledges nothing; "loopback-silent": both.
@@ -67,7 +67,7 @@ class AdapterConfig:
     once: bool = False
 
     def __post_init__(self) -> None:
-        # Plain ints and bools, whatever kind of integer was given.
+        # Plain int and bool, for any kind of integer given.
         put = partial(object.__setattr__, self)
         put("bitrate", whole(self.bitrate, "bitrate", "500000", least=1))
         choice(self.mode, "mode", MODE_NAMES)
@@ -81,10 +81,10 @@ class AdapterConfig:
 class AdapterReport:
     """What a control packet says; returned by `report` and `Port.request_status`.
 
-    A field that its kind does not have is None.
+    A field that a packet of this kind does not have is None.
 
-    The same bytes mean the same in both directions: a request for the status reads as a
-    status without errors.
+    The same bytes mean the same in both directions: a request for the status reads as a status
+    without errors.
 
     Attributes
     ----------
@@ -162,7 +162,7 @@ def configuration(protocol: str, config: AdapterConfig, *, fixed: bool = False) 
 
 
 def report(protocol: str, data: BytesLike) -> AdapterReport:
-    """Return what a control packet says.
+    """Return the meaning of a control packet.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def report(protocol: str, data: BytesLike) -> AdapterReport:
     Returns
     -------
     AdapterReport
-        Its kind and what it says. A configuration with an unknown value is of kind "other".
+        Its kind and its values. A configuration with an unknown value is of kind "other".
 
     Raises
     ------
