@@ -1,4 +1,4 @@
-"""Files to read: opened, read or mapped, their bytes by offset in bounded memory."""
+"""Files to read: opened, read or mapped; their bytes by offset, in bounded memory."""
 
 import errno
 import io
@@ -13,65 +13,65 @@ from canser._named import named
 
 __all__ = ["WINDOW", "Input", "Source", "Stream"]
 
-# What can be read: a path, or a file open for reading bytes, from where it stands.
+# A file to read: a path, or a file open for reading bytes, from its current position on.
 Source = str | os.PathLike[str] | BinaryIO
 
-# A file is mapped piece by piece, so that its pages do not add up in the process:
-# large enough that mapping costs nothing, small against any memory.
+# Bytes of a window. A file is mapped one window at a time, so that its pages do not add up in the
+# process. It is large enough that mapping costs nothing, and small compared with any memory.
 WINDOW = 8 << 20
 assert WINDOW % mmap.ALLOCATIONGRANULARITY == 0
 
-# What is read at a time from a regular file: enough that a call of the system costs nothing.
+# Bytes read at a time from a regular file: enough that a system call costs nothing.
 READ = 1 << 20
 
-# What is read at a time of any other, such as a pipe.
+# Bytes read at a time from other files, such as a pipe.
 CHUNK = 1 << 18
 
-# What `ahead` has at hand where the file does not end: more than a block of a recording.
+# Bytes that `ahead` has at hand before the end of the file: more than a block of a recording.
 AHEAD = 1 << 17
 
-# Where files have one place to read at: two threads may read the same file.
+# For systems where a file has only one position: two threads may read the same file.
 _SEEKING = threading.Lock()
 
-# Of what cannot be read twice the first bytes are kept: enough to tell what they are.
+# Bytes at the start that are kept of a file that cannot be read twice: enough to tell its format.
 HEAD_LEN = 1 << 16
 
 
 class Input:
-    """The bytes of a file by their offsets, a part of it at a time, going forward.
+    """The bytes of a file by their offsets, a part at a time, going forward.
 
-    Offsets count from where the file stands. What lies before the last offset asked for is
-    forgotten. A context manager: a file that was given by its path is closed at the end.
+    Offsets count from the file's position at the start. Bytes before the last offset asked for are
+    forgotten. An Input is a context manager: at the end it closes a file that was given by a path.
 
-    The size of a regular file is measured again before each part of it: OSError where the file
-    got shorter. After `map_windows` and `map_whole` such a file is mapped. If it gets shorter
-    while a window is being read, the system ends the process (SIGBUS): no program can rule that
-    out for a mapped file. Copy a file that another program may cut, or give it opened by
-    `gzip.open`, a pipe or `io.BytesIO`.
+    The size of a regular file is measured again before each part of it; OSError if the file got
+    shorter. After `map_windows` and `map_whole` such a file is mapped. If it gets shorter while a
+    window is being read, the system ends the process (SIGBUS). No program can prevent that for a
+    mapped file. Copy a file that another program may cut, or pass it opened by `gzip.open`, as a
+    pipe or as `io.BytesIO`.
 
-    TypeError for what is neither a path nor a file open for reading bytes.
+    TypeError for a source that is no path and no file open for reading bytes.
     """
 
     def __init__(self, source: Source) -> None:
         _check_source(source)
         self._opened: BinaryIO | None = None
         if isinstance(source, (str, os.PathLike)):
-            # Unbuffered: a pipe's bytes are handed on as they come.
+            # Unbuffered, so that a pipe's bytes are given as they come.
             self._opened = cast(BinaryIO, open(source, "rb", buffering=0))  # noqa: PTH123, SIM115
             self.name = os.fsdecode(source)
         else:
             name = getattr(source, "name", "the file")
             self.name = "standard input" if name == "<stdin>" else str(name)
         self.file: BinaryIO = self._opened or cast(BinaryIO, source)
-        self.size = _regular_size(self.file)  # None for what is read as a pipe is
+        self.size = _regular_size(self.file)  # None for a file that is read as a pipe
         self.start = 0 if self.size is None else self.file.tell()
-        # One read() of the system each, so that a pipe's bytes are not waited for.
+        # One system call each, so that a read of a pipe does not wait for more bytes.
         self._read = getattr(self.file, "read1", None) or self.file.read
         self._base = 0  # the offset of the view's first byte
         self._view = memoryview(b"")
-        self._memory = bytearray()  # that a regular file is read into
+        self._memory = bytearray()  # into which a regular file is read
         self._mapped = False
-        self._head = bytearray()  # the first bytes of what is read as a pipe is
+        self._head = bytearray()  # the first bytes of a file that is read as a pipe
 
     def __enter__(self) -> Self:
         return self
@@ -80,7 +80,7 @@ class Input:
         self.close()
 
     def close(self) -> None:
-        """Let go of the file, and close it if it was opened here."""
+        """Let go of the file; close it if it was opened here."""
         self._view = memoryview(b"")  # a map holds a descriptor of its own
         self._memory = bytearray()
         if self._opened is not None:
@@ -88,11 +88,11 @@ class Input:
 
     @property
     def total(self) -> int | None:
-        """The bytes from where the file stood to its end, None where that is not known."""
+        """The bytes from the first position of the file to its end, None if that is not known."""
         return None if self.size is None else max(self.size - self.start, 0)
 
     def at(self, offset: int, length: int) -> memoryview:
-        """Return `length` bytes there, fewer at the end of the file only.
+        """Return `length` bytes from an offset; fewer only at the end of the file.
 
         `offset` may not lie before that of the last call. The view stays good.
         """
@@ -103,15 +103,15 @@ class Input:
         return self._view[begin : begin + length]
 
     def some(self, offset: int) -> memoryview:
-        """Return the bytes there that are at hand, none at the end of the file only."""
+        """Return the bytes from an offset that are at hand; none only at the end of the file."""
         if offset - self._base >= len(self._view):
             self._move(offset, 1)
         return self._view[offset - self._base :]
 
     def ahead(self, offset: int) -> memoryview:
-        """Return the bytes there that are at hand, many of a file that is no pipe.
+        """Return the bytes from an offset that are at hand; of a regular file, many.
 
-        The memory is that of the calls before: views that were given before go bad.
+        The memory is that of the calls before: views that were given before become invalid.
         """
         end = self._base + len(self._view)
         if self.total is not None and end - offset < AHEAD and end < self.total:
@@ -119,31 +119,31 @@ class Input:
         return self.some(offset)
 
     def map_windows(self) -> None:
-        """Map a regular file from now on, instead of reading it: its bytes are not copied."""
+        """Map a regular file from now on, instead of reading it; so its bytes are not copied."""
         self._mapped = self.size is not None
         if self._mapped:
             self._base, self._view = 0, memoryview(b"")
 
     def stream(self) -> "Stream":
-        """Return the bytes as a file to read from its start on."""
+        """Return the bytes from the first on, as a file."""
         return Stream(self)
 
     def map_whole(self) -> memoryview:
-        """Return the bytes from where the file stood to its end in one piece; of a regular file."""
+        """Return all bytes of a regular file in one piece, from its first position on."""
         assert self.size is not None
         if self.size <= self.start:
-            return memoryview(b"")  # nothing is there to be mapped
+            return memoryview(b"")  # an empty part cannot be mapped
         self.check_size()
         with named(self.name):
             whole = mmap.mmap(self.file.fileno(), self.size, access=mmap.ACCESS_READ)
         return memoryview(whole)[self.start :]
 
     def sample(self) -> memoryview:
-        """Return bytes by which to tell what they are: all of a regular file, else the first."""
+        """Return bytes that tell the format: all of a regular file, else the first ones."""
         return self.map_whole() if self.size is not None else memoryview(self._head).toreadonly()
 
     def check_size(self) -> None:
-        """Raise OSError if a regular file is shorter than it was when it was opened."""
+        """Raise OSError if a regular file is shorter than when it was opened."""
         assert self.size is not None
         size = os.fstat(self.file.fileno()).st_size
         if size < self.size:
@@ -161,7 +161,7 @@ class Input:
             elif self._mapped:
                 self._map(self.size, offset, length)
             else:
-                # Without a memory a new one: the views of the old one are in use.
+                # Without a memory a new one is made: views of the old one are in use.
                 self._read_window(self.size, offset, length, memory or bytearray())
 
     def _map(self, size: int, offset: int, length: int) -> None:
@@ -171,14 +171,14 @@ class Input:
         end = min(max(aligned + WINDOW, place + length), size)
         self._base, self._view = offset, memoryview(b"")
         if end > place:
-            # The map goes with the last view of it.
+            # The map ends with its last view.
             mapped = mmap.mmap(
                 self.file.fileno(), end - aligned, access=mmap.ACCESS_READ, offset=aligned
             )
             self._view = memoryview(mapped)[place - aligned :]
 
     def _read_window(self, size: int, offset: int, length: int, memory: bytearray) -> None:
-        """Read a part of the file behind the bytes that are at hand, all of it into one memory."""
+        """Read the part of a file behind the bytes at hand, all of it into one memory."""
         self.check_size()
         held = self._view[offset - self._base :]
         place = self.start + offset
@@ -197,7 +197,7 @@ class Input:
         self._memory = cast(bytearray, room.obj)
 
     def _read_on(self, offset: int, length: int) -> None:
-        # New memory: the views of the old one are in use.
+        # New memory, as views of the old one are in use.
         parts: list[bytes | memoryview] = [self._view[offset - self._base :]]
         held = len(parts[0])
         while held < length and (more := self._read(CHUNK)):
@@ -205,13 +205,13 @@ class Input:
             held += len(more)
             if len(self._head) < HEAD_LEN:
                 self._head += more[: HEAD_LEN - len(self._head)]
-        # What is read at once is not copied.
+        # A part that was read at once is not copied.
         whole = parts[1] if len(parts) == 2 and not parts[0] else b"".join(parts)
         self._base, self._view = offset, memoryview(whole)
 
 
 class Stream(io.RawIOBase):
-    """The bytes of an Input as a file. `bytes_done`: how many were read."""
+    """The bytes of an Input as a file; `bytes_done` is the number of bytes that were read."""
 
     def __init__(self, source: Input) -> None:
         super().__init__()
@@ -223,7 +223,7 @@ class Stream(io.RawIOBase):
         return True
 
     def readinto(self, room: memoryview) -> int:  # type: ignore[override]
-        """Read the bytes that are at hand; return how many, 0 at the end."""
+        """Read the bytes that are at hand; return their number, 0 at the end."""
         piece = self._source.ahead(self.bytes_done)[: len(room)]
         room[: len(piece)] = piece
         self.bytes_done += len(piece)
@@ -231,7 +231,7 @@ class Stream(io.RawIOBase):
 
 
 def _read_by_seeking(file: BinaryIO, room: memoryview, place: int) -> int:
-    """Read bytes of a regular file from a place on; return how many, 0 at the end."""
+    """Read bytes of a regular file from a place on; return their number, 0 at the end."""
     raw = cast(io.FileIO, getattr(file, "raw", file))
     with _SEEKING:
         before = raw.tell()
@@ -245,7 +245,7 @@ def _read_by_seeking(file: BinaryIO, room: memoryview, place: int) -> int:
 if sys.platform != "win32" and hasattr(os, "preadv"):  # macOS has it from 11 on
 
     def _read_at(file: BinaryIO, room: memoryview, place: int) -> int:
-        """Read bytes of a regular file from a place on; return how many, 0 at the end."""
+        """Read bytes of a regular file from a place on; return their number, 0 at the end."""
         return os.preadv(file.fileno(), [room], place)
 else:
     _read_at = _read_by_seeking
@@ -273,10 +273,9 @@ def _check_source(source: object) -> None:
 def _regular_size(file: BinaryIO) -> int | None:
     """Return the size of a file that can be mapped, None for any other.
 
-    A file that says it is empty is read as a pipe is: the files of /proc, and some of
-    those of FUSE, do not know their size.
+    A file of size 0 is read as a pipe: files of /proc, and some of FUSE, do not know their size.
     """
-    # Others may have a descriptor too, and give other bytes than it: gzip's, say.
+    # Other objects may have a descriptor, too, and give other bytes than it, such as gzip's.
     if not isinstance(getattr(file, "raw", file), io.FileIO):
         return None
     try:
