@@ -1,4 +1,4 @@
-"""Arrays of frames from what a person has at hand: texts, tuples, messages, other arrays."""
+"""Arrays of frames from texts, tuples, messages and other arrays."""
 
 import reprlib
 from collections.abc import Iterable, Iterator
@@ -18,11 +18,11 @@ _STANDARD_MAX = 0x7FF
 
 
 class MessageLike(Protocol):
-    """What is read of a message, such as a `can.Message` of python-can."""
+    """The attributes of a message that are read, such as a `can.Message` of python-can."""
 
     @property
     def timestamp(self) -> float:
-        """Seconds; 0 where the time is not known."""
+        """Seconds; 0 if the time is not known."""
 
     @property
     def arbitration_id(self) -> int:
@@ -34,7 +34,7 @@ class MessageLike(Protocol):
 
     @property
     def is_remote_frame(self) -> bool:
-        """Whether it is a remote frame: without data, but with a dlc."""
+        """Whether it is a remote frame, which has a dlc and no data."""
 
     @property
     def is_error_frame(self) -> bool:
@@ -49,7 +49,7 @@ class MessageLike(Protocol):
         """The data, as long as the dlc says; none in a remote frame."""
 
 
-# What stands for one frame, or for those of an array; and the same or many of these.
+# One argument that stands for frames, and the same or an iterable of these.
 FrameItem: TypeAlias = str | tuple[SupportsIndex, BytesLike] | MessageLike | np.void | FrameArray
 FrameItems: TypeAlias = FrameItem | Iterable[FrameItem]
 
@@ -100,7 +100,7 @@ def frames(*items: FrameItems) -> FrameArray:
         if isinstance(part, tuple):
             rows.append(part)
         else:
-            # A copy: an iterable of arrays may fill the same one again and again.
+            # A copy, as an iterable of arrays may fill the same array again and again.
             arrays += [rows_to_frames(rows), copy_records(part)]
             rows.clear()
     return concat([*arrays, rows_to_frames(rows)])
@@ -122,7 +122,7 @@ def message_to_row(message: MessageLike, ts: int) -> Row:
 
 
 def _to_parts(items: Iterable[Any]) -> Iterator[Row | FrameArray]:
-    """Yield what the items stand for: a row for a single frame, or an array of frames."""
+    """Yield the frames of items: a row for a single frame, or an array of frames."""
     for item in items:
         if isinstance(item, str):
             yield parse_frame(item)
