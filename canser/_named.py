@@ -1,4 +1,4 @@
-"""Errors of the system that say what they are about: those of reading and writing do not."""
+"""Names in errors of the system: those of reading and writing have none."""
 
 import contextlib
 import io
@@ -13,10 +13,10 @@ __all__ = ["NamedFile", "named"]
 
 @contextlib.contextmanager
 def named(name: str, *, always: bool = False) -> Iterator[None]:
-    """Give an OSError of the block a name, if it has none or `always`.
+    """Give an OSError of the block a name, if it has none, or always with `always`.
 
-    `always` is for what has another name than the one that the user knows, such as a file that
-    is still being written.
+    `always` is for a file whose current name is not the one that the user knows, such as a file
+    that is still being written.
     """
     try:
         yield
@@ -33,7 +33,7 @@ def named(name: str, *, always: bool = False) -> Iterator[None]:
 class NamedFile(io.FileIO):
     """A file to write, unbuffered, whose errors have its name.
 
-    `opened`: what `open` takes, a path or a descriptor, which stays open. `label`: the name.
+    `opened` is a path or a descriptor, which stays open. `label` is the name.
     """
 
     def __init__(self, opened: str | int, mode: str, label: str) -> None:
@@ -42,7 +42,7 @@ class NamedFile(io.FileIO):
         self.label = label
 
     def write(self, data: "Buffer", /) -> int:
-        """Write some of the bytes, and return how many."""
+        """Write some of the bytes, and return their number."""
         with named(self.label):
             return super().write(data)
 
