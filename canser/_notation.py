@@ -9,8 +9,8 @@
 
 Source: can-utils, `candump` and its library's frame notation.
 
-An error frame has eight digits because of its flag, so `ext` of one with an id up to 0x7FF is
-not told.
+An error frame has eight digits because of its flag. So the text does not say whether an error frame
+with an id up to 0x7FF is extended.
 """
 
 import re
@@ -56,12 +56,12 @@ def parse_frame(text: str) -> Row:
 
 
 def not_read(text: str) -> str:
-    """Say what a text is that is not read."""
+    """Return why a text is not read, for a message."""
     return "CAN FD or CAN XL" if text.count("#") > 1 else "no frame"
 
 
 def groups_to_row(groups: Sequence[str | Any], ts: int) -> Row:
-    """Return the frame of the groups of `PATTERN`; ValueError if it is none of classic CAN."""
+    """Return the frame of the groups of `PATTERN`; ValueError if it is no classic CAN frame."""
     digits, rtr, rtr_dlc, data_digits, raw_dlc = groups
     number_of_id = int(digits, 16)
     ext = len(digits) == 8
@@ -72,7 +72,7 @@ def groups_to_row(groups: Sequence[str | Any], ts: int) -> Row:
         raise ValueError(f"a raw dlc (_{raw_dlc}) needs 8 bytes, but the dlc is {dlc}")
     return check_row(
         (
-            # Above 29 bits only the flags stand that an id of eight digits may have.
+            # Of an error frame's eight digits, the flags above 29 bits are not part of the id.
             number_of_id & 0x1FFFFFFF if err else number_of_id,
             # An error frame has eight digits because of its flag.
             ext and (not err or number_of_id & 0x1FFFFFFF > 0x7FF),
