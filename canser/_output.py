@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, the standard output, and the standard error."""
+"""Files that appear as a whole or not at all; the standard output; the standard error."""
 
 import contextlib
 import errno
@@ -23,7 +23,7 @@ class _StandardOutput(NamedFile):
         super().__init__(sys.stdout.fileno(), "wb", "standard output")
 
     def write(self, data: Any) -> int:
-        """Write a part of the bytes at least; ReaderGoneError without a reader."""
+        """Write at least a part of the bytes; ReaderGoneError if there is no reader."""
         try:
             return super().write(data)
         except BrokenPipeError as error:
@@ -32,10 +32,10 @@ class _StandardOutput(NamedFile):
 
 @contextlib.contextmanager
 def standard_output() -> Iterator[BinaryIO]:
-    """Open the standard output for bytes, buffered and written whole at the end.
+    """Open the standard output for bytes, buffered; at the end all bytes are written.
 
-    sys.stdout's own buffer may be none (python -u), which writes a part in silence when
-    a disk runs full. StreamClosedError if there is none, ReaderGoneError if its reader ends.
+    With `python -u`, sys.stdout has no buffer, and writes only a part, without an error, when a
+    disk becomes full. StreamClosedError if it is closed, ReaderGoneError if its reader ends.
     """
     if sys.stdout is None:
         raise StreamClosedError("the standard output is closed; open it, or name a file")
@@ -46,23 +46,23 @@ def standard_output() -> Iterator[BinaryIO]:
 
 
 class _Messages(io.FileIO):
-    """A file for writing that drops what cannot be written."""
+    """A file for writing that drops what it cannot write."""
 
     def write(self, data: Any) -> int:
-        """Write a part of the bytes at least, or drop them all."""
+        """Write at least a part of the bytes, or drop them all."""
         with contextlib.suppress(OSError):
             done: int | None = super().write(data)
-            if done is not None:  # None: the stream does not block, and takes nothing now
+            if done is not None:  # None: the stream does not block, and takes no bytes now
                 return done
         return len(data)
 
 
 @contextlib.contextmanager
 def optional_messages() -> Iterator[None]:
-    """Let sys.stderr drop messages that cannot be written, where it is a file.
+    """Let sys.stderr, if it is a file, drop messages that it cannot write.
 
-    Otherwise a message to a disk that is full, or to a pipe without a reader, would end the
-    work in the middle. A closed standard error takes all, like /dev/null.
+    Otherwise a message to a full disk, or to a pipe without a reader, would end the work in the
+    middle. A closed standard error drops all messages.
     """
     before = sys.stderr
     try:
@@ -84,9 +84,9 @@ def optional_messages() -> Iterator[None]:
 def whole_file(path: str, *, force: bool) -> Iterator[BinaryIO]:
     """Open a file for writing that gets its name when the block ends without an error.
 
-    Until then it has a temporary name beside it, and after an error it is gone. "-" is
-    the standard output; a pipe or a device is written in place. OutputExistsError if
-    the file is there and `force` is False. Call `check_apart` first where files are read.
+    Until then it has a temporary name in the same folder. After an error it is removed. "-" is the
+    standard output. A pipe or a device is written in place. OutputExistsError if the file exists
+    and `force` is False. If files are read, too, call `check_apart` before.
     """
     if path == "-":
         with standard_output() as file:
@@ -116,14 +116,14 @@ def whole_file(path: str, *, force: bool) -> Iterator[BinaryIO]:
 
 
 def check_apart(target: str, *others: str) -> None:
-    """Raise OutputExistsError if a file to write is one of the others, by a link too.
+    """Raise OutputExistsError if a file to write is one of the others, also by a link.
 
     "-" is the standard output as a target, and the standard input as one of the others.
     """
     written = _status(target, sys.stdout)
     for other in others:
         read = _status(other, sys.stdin)
-        if written is None or read is None:  # names of files that are to be made
+        if written is None or read is None:  # files that do not exist yet
             same = target != "-" and os.path.realpath(target) == os.path.realpath(other)
         else:
             same = stat.S_ISREG(written.st_mode) and os.path.samestat(written, read)
