@@ -1,4 +1,4 @@
-"""Arguments that are checked: an error names the argument, its value and what it may be."""
+"""Checks of arguments: an error names the argument, its value and what it may be."""
 
 import math
 import numbers
@@ -16,7 +16,7 @@ _T = TypeVar("_T")
 def whole(value: Any, name: str, such_as: str, *, least: int | None = None) -> int:
     """Return an integer: TypeError for anything else, ValueError if it is less than `least`.
 
-    True and False are none, and neither is 500.0: it would be cut, were it 500.5.
+    True and False are refused, and so is 500.0: otherwise 500.5 would be cut.
     """
     try:
         if isinstance(value, bool):
@@ -37,7 +37,7 @@ def real(value: Any, name: str, such_as: str) -> float:
 
 
 def timeout(value: Any, name: str = "timeout") -> float | None:
-    """Return a time-out in seconds, None for one without an end; it is over if less than 0."""
+    """Return a timeout in seconds, None if it has no end; below 0 it is over at once."""
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
@@ -45,13 +45,13 @@ def timeout(value: Any, name: str = "timeout") -> float | None:
     number = float(value)
     if math.isnan(number):
         raise ValueError(f"{name} is nan; it must be a number of seconds, or None")
-    # The system counts no further than 292 years.
+    # The system counts up to 292 years.
     return None if number >= threading.TIMEOUT_MAX else number
 
 
 def flag(value: Any, name: str) -> bool:
     """Return True or False; TypeError for anything else: "no" would count as True."""
-    # This module does not import numpy: where it is not loaded, the value is none of its own.
+    # This module does not import numpy. If numpy is not loaded, the value is not one of its bools.
     numpy = sys.modules.get("numpy")
     if not isinstance(value, bool) and not (numpy and isinstance(value, numpy.bool_)):
         raise _wrong_type(value, name, "True or False")
