@@ -1,4 +1,4 @@
-"""Frames as a person looks at them: lines of text, and a table in a notebook."""
+"""Frames to look at: lines of text, and a table in a notebook."""
 
 from collections.abc import Callable, Iterator
 from html import escape
@@ -12,11 +12,11 @@ from canser.files.candump import Writer
 
 __all__ = ["load_ipython_extension", "show", "unload_ipython_extension"]
 
-# Frames that are shown of one array, at most; of a larger one half of them at each end.
+# The most frames of one array that are shown. Of a larger array, half of them are at each end.
 _SHOWN_MAX: Final = 40
 
 _COLUMNS: Final = ("", "ts (s)", "id", "flags", "dlc", "data")
-_LEFT: Final = ("flags", "data")  # the others are numbers
+_LEFT: Final = ("flags", "data")  # columns aligned left; the others are numbers
 
 
 def show(frames: FrameArray, file: TextIO | None = None) -> None:
@@ -48,7 +48,7 @@ def show(frames: FrameArray, file: TextIO | None = None) -> None:
     """
     check_frames(frames, "frames")
     head, left_out, tail = _parts(frames)
-    writer = Writer(BytesIO())  # of which only the text is used
+    writer = Writer(BytesIO())  # only its text is used
     lines = writer.text(head).decode()
     if left_out:
         lines += f"... {_counted(left_out)} left out ...\n{writer.text(tail).decode()}"
@@ -82,14 +82,14 @@ def unload_ipython_extension(ipython: Any) -> None:
     """
     formatter = ipython.display_formatter.formatters["text/html"]
     table = formatter.for_type(np.ndarray)
-    if isinstance(table, _FrameTable):  # else another extension has taken its place since
+    if isinstance(table, _FrameTable):  # else another extension has replaced it
         formatter.pop(np.ndarray)
         if table.before is not None:
             formatter.for_type(np.ndarray, table.before)
 
 
 class _FrameTable:
-    """Makes the HTML of an array of frames; any other array looks as it did `before`."""
+    """Makes the HTML of an array of frames; for any other array calls `before`."""
 
     def __init__(self, before: Callable[[Any], str | None] | None) -> None:
         self.before = before
@@ -100,14 +100,14 @@ class _FrameTable:
             return _to_html(array)
         if self.before is not None:
             return self.before(array)
-        # A subclass of ndarray may have its own HTML: IPython asks for it where no function is
+        # A subclass of ndarray may have its own HTML. IPython asks for it only if no function is
         # registered.
         own = getattr(array, "_repr_html_", None)
         return own() if callable(own) else None
 
 
 def _parts(frames: FrameArray) -> tuple[FrameArray, int, FrameArray]:
-    """Return the frames to show first, how many are left out, and the frames to show last."""
+    """Return the first frames to show, the number left out, and the last frames to show."""
     if len(frames) <= _SHOWN_MAX:
         return frames, 0, frames[:0]
     half = _SHOWN_MAX // 2
