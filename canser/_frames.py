@@ -1,4 +1,4 @@
-"""The record of a decoded frame, and the choice of frames by can-utils' filters."""
+"""The record of a frame, and the selection of frames by can-utils' filters."""
 
 import re
 import sys
@@ -39,10 +39,10 @@ FRAME_DTYPE: Final[np.dtype[np.void]] = np.dtype(
     align=True,
 )
 
-# The `ts` of a frame whose time is not known; as datetime64 or timedelta64 it is NaT.
+# `ts` of a frame whose time is not known; as datetime64 or timedelta64 it is NaT.
 NO_TIME: Final = int(np.iinfo(np.int64).min)
 
-# Nanoseconds from 1970 to 2000: a time this late is a date, and no count of a device's clock.
+# Nanoseconds from 1970 to 2000. Assumption: a time this late is a date, not a device's clock.
 YEAR_2000_NS: Final = 946_684_800 * 10**9
 
 # SocketCAN's flags above the 29 bits of an id, as filters write them.
@@ -162,8 +162,8 @@ def _parse_filter(text: str) -> tuple[str, np.uint32, np.uint32]:
     wanted = int(found["id"] or "0", 16)
     mask = int(found["mask"], 16)
     if found["kind"] != "#":
-        # An id written with eight digits is extended (can-utils), and the error
-        # flag takes no part: error frames have a filter of their own.
+        # An id of eight digits is extended (can-utils). The error flag has no effect here: error
+        # frames have a filter of their own.
         if len(found["id"]) == 8:
             wanted |= _EXT
         mask &= ~_ERR
@@ -171,7 +171,7 @@ def _parse_filter(text: str) -> tuple[str, np.uint32, np.uint32]:
 
 
 def reason_invalid(arbitration_id: int, ext: bool, dlc: int) -> str | None:
-    """Return what keeps these from being a frame of classic CAN, None for nothing."""
+    """Return the reason why these values are no frame of classic CAN, None if they are one."""
     limit = _EXTENDED_MAX if ext else _STANDARD_MAX
     if not 0 <= arbitration_id <= limit:
         return f"the id {arbitration_id:#x} is over {limit:#x}"
@@ -181,10 +181,10 @@ def reason_invalid(arbitration_id: int, ext: bool, dlc: int) -> str | None:
 
 
 def put_records(target: npt.NDArray[np.void], records: npt.NDArray[np.void]) -> None:
-    """Copy records into an array of the same dtype, of the same shape.
+    """Copy records into an array of the same dtype and shape.
 
-    numpy copies records field by field, 15 to 50 ns a frame. As bytes without fields it
-    copies them whole, 1 ns a frame.
+    numpy copies records field by field, in 15 to 50 ns a frame. As bytes without fields it copies
+    them whole, in 1 ns a frame.
     """
     whole = f"V{records.dtype.itemsize}"
     target.view(whole)[...] = records.view(whole)
@@ -256,8 +256,8 @@ def check_frames(array: object, name: str) -> None:
 
 
 def refuse_mask(array: object, name: str) -> None:
-    """Raise TypeError for a masked array: what it masks would be taken like all else."""
-    # Where numpy.ma is not imported there are none.
+    """Raise TypeError for a masked array: otherwise masked items would be taken like others."""
+    # While numpy.ma is not imported, there are no masked arrays.
     ma = sys.modules.get("numpy.ma")
     if ma is not None and isinstance(array, ma.MaskedArray):
         raise TypeError(
