@@ -14,7 +14,7 @@ def _refuse(*_: object, **__: object) -> Never:
 
 
 class ReadOnlyDict(dict[_Key, _Value]):
-    """A dict of a frozen value. Can be compared, copied and pickled, and goes into JSON."""
+    """A dict that cannot be changed. It can be compared, copied and pickled, and goes into JSON."""
 
     __slots__ = ()
 
@@ -26,10 +26,10 @@ class ReadOnlyDict(dict[_Key, _Value]):
 
 
 class Uncopied:
-    """Base of what stands for one stream, file or line.
+    """Base class of objects that stand for one stream, file or line.
 
-    Without it `copy.copy` makes a second object with the same stream behind it: what one takes
-    the other misses, and their locks know nothing of each other.
+    Otherwise `copy.copy` would make a second object for the same stream. Each would miss what the
+    other takes, and their locks would not exclude each other.
     """
 
     __slots__ = ()
