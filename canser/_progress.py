@@ -1,19 +1,19 @@
-"""A progress bar on a terminal: rich's where it is installed, else a plain line."""
+"""A progress bar on a terminal: that of rich if it is installed, else a plain line."""
 
 import sys
 import time
 from types import TracebackType
 from typing import Any, Self
 
-# Work that takes less time shows no bar.
+# Seconds before the bar is shown. Shorter work shows none.
 _PATIENCE_S = 0.5
 
-# A longer title would push the bar off the line.
+# Characters of the title. A longer one would push the bar off the line.
 _TITLE_LEN = 30
 
 
 class Progress:
-    """Show how much of some bytes is done, on standard error if that is a terminal."""
+    """Show on standard error, if it is a terminal, how many of some bytes are done."""
 
     def __init__(self, title: str) -> None:
         self._title = title if len(title) <= _TITLE_LEN else f"\u2026{title[1 - _TITLE_LEN :]}"
@@ -38,7 +38,7 @@ class Progress:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
     def __call__(self, done: int, total: int | None) -> None:
-        """Show that `done` bytes are done, of `total`, None where that is not known."""
+        """Show that `done` of `total` bytes are done; `total` is None if it is not known."""
         if not self._on or time.monotonic() - self._begin < _PATIENCE_S:
             return
         if self._bar is None and self._shown < 0:
