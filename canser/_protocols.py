@@ -1,4 +1,4 @@
-"""The protocols by name, and the units of a device's clock."""
+"""Protocols by name, and the units of a device's clock."""
 
 from typing import Final
 
@@ -27,7 +27,7 @@ def protocols() -> tuple[str, ...]:
 
 
 def protocol(name: str) -> Protocol:
-    """Return what a protocol is and can.
+    """Return the properties of a protocol.
 
     Parameters
     ----------
