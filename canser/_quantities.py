@@ -1,4 +1,4 @@
-"""Times and sizes as people write them: 500ms, 1h, 100M."""
+"""Times and sizes as people write them, such as 500ms, 1h, 100M."""
 
 import re
 from fractions import Fraction
@@ -9,7 +9,7 @@ __all__ = ["LONGEST_S", "is_duration", "parse_bytes", "parse_seconds"]
 _DURATION: Final = re.compile(r"(?P<number>[0-9]+(?:\.[0-9]+)?)(?: *(?P<unit>ms|s|min|m|h|d))?")
 _SECONDS: Final = {"ms": 0.001, "s": 1, "min": 60, "m": 60, "h": 3600, "d": 86400, None: 1}
 
-# The longest time. Its nanoseconds fit in 64 bits.
+# The longest time in days. Its nanoseconds fit into 64 bits.
 _DAYS_MOST: Final = 100_000
 LONGEST_S: Final = _DAYS_MOST * 86_400
 
