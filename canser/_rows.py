@@ -1,4 +1,4 @@
-"""Frames one by one, as tuples of their fields: checked, and made an array."""
+"""Single frames as tuples of their fields: checks, and arrays of them."""
 
 import struct
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ from canser._frames import FRAME_DTYPE, FrameArray, reason_invalid
 
 __all__ = ["Row", "check_row", "rows_to_frames"]
 
-# The fields of a record but for the padding of data: id ext rtr dlc err data ts.
+# The fields of a record, with data cut to its length: id ext rtr dlc err data ts.
 Row: TypeAlias = tuple[int, bool, bool, int, bool, bytes, int]
 
 _RECORD: Final = struct.Struct("=I??B?8sq")
@@ -32,5 +32,5 @@ def check_row(row: Row) -> Row:
 
 
 def rows_to_frames(rows: Iterable[Row]) -> FrameArray:
-    """Return rows that are CAN frames as an array that can be written."""
+    """Return an array of rows that are CAN frames; it can be written."""
     return np.frombuffer(bytearray().join(starmap(_RECORD.pack, rows)), FRAME_DTYPE)
