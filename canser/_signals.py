@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM as a wish to stop, for commands that run until they are told to end."""
+"""SIGINT and SIGTERM as a request to stop, for commands that run until they are told to end."""
 
 import contextlib
 import signal
@@ -11,8 +11,8 @@ class Stop:
 
     def __init__(self) -> None:
         self.wanted = False
-        #: Whether a signal is a KeyboardInterrupt instead: while something is waited for that
-        #: cannot look at the flag, such as a server that does not answer.
+        #: Whether a signal raises KeyboardInterrupt instead. It does while the program waits for
+        #: something that cannot look at the flag, such as a server that does not answer.
         self.interrupts = False
 
     def __bool__(self) -> bool:
@@ -23,8 +23,8 @@ class Stop:
 def stop_on_signals() -> Iterator[Stop]:
     """Let the first SIGINT, SIGTERM or SIGHUP set a flag; the second one ends the program.
 
-    A loop inside looks at the flag between two waits of less than a second, and so ends with
-    all in order: what has come is written, the port is closed.
+    A loop in the block looks at the flag between waits of less than a second. So it ends in good
+    order: all bytes that have come are written, and the port is closed.
     """
     stop = Stop()
     before: dict[int, Any] = {}
