@@ -1,4 +1,4 @@
-"""Threads that cannot be started, as an error that names what they are for."""
+"""Starting threads, with an error that names their purpose if that is impossible."""
 
 import threading
 
