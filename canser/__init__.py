@@ -1,6 +1,6 @@
 """Decode and encode the byte streams of serial CAN adapters, into numpy arrays.
 
-Each public name is here. Its module is loaded when the name is first asked for.
+This module has all public names. A name's module is loaded when the name is first used.
 """
 
 from importlib import import_module
@@ -171,7 +171,7 @@ _HOMES: Final = {
 }
 _HOME: Final = {name: module for module, names in _HOMES.items() for name in names}
 
-# Otherwise type checkers would take any name for one of these, and `import *` for none.
+# Hidden from type checkers: they cannot read this list, and would accept any name for __getattr__.
 if not TYPE_CHECKING:
     __all__ = [*_HOME, "__version__"]  # noqa: PLE0604 - they are strings
 
