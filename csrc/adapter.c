@@ -1,5 +1,5 @@
-/* What an adapter understands besides frames: how it is configured, and what its
- * control packets mean. The bytes are the wire formats' own. */
+/* Packets of an adapter besides frames: its configuration, and the meaning of its control
+ * packets. The wire formats define the bytes. */
 #include "protocol.h"
 
 const char *canser_mode_name(int mode)
@@ -40,7 +40,7 @@ int canser_configure(const canser_protocol *protocol, const canser_config *confi
     size_t rate = 0;
     while (bitrates[rate] && bitrates[rate] != config->bitrate)
         rate++;
-    /* The adapter has room for more bits, but no id has them: a mistake. */
+    /* A filter with bits that no id has is a mistake, though the packet has room for them. */
     if (!bitrates[rate] || config->mode >= CANSER_MODE_COUNT || config->filter_id > ID_EXT_MAX ||
         config->filter_mask > ID_EXT_MAX)
         return CANSER_RANGE;
@@ -57,7 +57,7 @@ int canser_explain(const canser_protocol *protocol, const uint8_t *packet, size_
     if (!protocol || (!packet && len))
         return CANSER_NULL;
 
-    /* Whether it is a packet is for the decoder to say, here as everywhere. */
+    /* The decoder decides whether the bytes are a packet, as everywhere. */
     canser_frame frame;
     canser_control control;
     canser_batch batch = {.frames = &frame, .frame_cap = 1, .controls = &control, .control_cap = 1};
