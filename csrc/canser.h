@@ -1,16 +1,17 @@
 /* canser: decode and encode the byte streams of serial CAN adapters.
  *
  * Plain C11 without allocation, I/O or globals that change: the caller owns
- * all memory. Return codes are for the caller's mistakes; counters are for what
- * is wrong on the wire. Results are written on every return, errors included:
- * so a caller never reads a count of an earlier call.
+ * all memory. Return codes are for mistakes of the caller, counters for errors
+ * on the wire. Results are written on every return, also after an error, so
+ * that a caller never reads a count of an earlier call.
  *
  * The rule of the scan, for every protocol: at each position either a packet
- * starts (take it and go on behind it), or more bytes are needed (they are
- * held until the next call), or none starts (count one skipped byte and go on
- * at the next one). The result does not depend on how the stream was cut.
+ * starts (it is taken, and the scan goes on behind it), or more bytes are needed
+ * (the bytes are held until the next call), or no packet starts (one skipped byte
+ * is counted, and the scan goes on at the next one). The result does not depend
+ * on how the stream was cut.
  *
- * Law: bytes_in == bytes_framed + bytes_control + bytes_skipped + pending.
+ * Always: bytes_in == bytes_framed + bytes_control + bytes_skipped + bytes held.
  *
  * Threads: calls on different decoders may run at the same time; calls on one
  * decoder must not.
@@ -28,8 +29,8 @@ extern "C" {
 /* The time of a frame whose time is not known: numpy's NaT. */
 #define CANSER_NO_TIME INT64_MIN
 
-/* The protocols, in the order of their names, with the bytes of their longest packets. A new one
- * is one C file in protocols/, which defines `canser_protocol_NAME`, and one row here. */
+/* The protocols, in the order of their names, with the bytes of their longest packets. A new
+ * protocol is one C file in protocols/, which defines `canser_protocol_NAME`, and one row here. */
 #ifndef CANSER_PROTOCOLS
 #define CANSER_PROTOCOLS(ROW)                                                                      \
     ROW(canet13, 13)                                                                               \
@@ -48,18 +49,18 @@ union canser_longest {
 #define CANSER_PACKET_MAX sizeof(union canser_longest)
 
 /* The bytes that must follow a position for canser_decoder_advance() to decide there: the longest
- * packet, and what a probe looks at before it knows that a length is good. */
+ * packet, and 4 bytes that a probe reads before it knows that a length is valid. */
 #define CANSER_BEHIND (CANSER_PACKET_MAX + 4)
 
-/* Room for a packet, so that a canser_control has no bytes that belong to no field. */
+/* Room for a packet. It makes canser_control a multiple of 8 bytes without padding. */
 #define CANSER_CONTROL_ROOM (CANSER_PACKET_MAX / 8 * 8 + 7)
 
-/* Between the two cffi lines stands what Python binds, declared only here. */
+/* Python binds the declarations between the two cffi lines. */
 /* cffi: begin */
 
-/* ---- For any program: decode, encode, configure an adapter, understand its packets. */
+/* ---- For any program: decode, encode, configure an adapter, explain its packets. */
 
-/* Status codes: the caller's mistakes, found before a byte is touched. */
+/* Status codes: mistakes of the caller, found before a byte is read or written. */
 enum {
     CANSER_OK = 0,
     CANSER_NULL = 1,       /* a pointer that must not be NULL is NULL */
@@ -69,25 +70,25 @@ enum {
     CANSER_TICK = 5,       /* tick_ns is less than 1 */
     CANSER_MISMATCH = 6,   /* join: the chunk does not begin where the stream stands */
     CANSER_UNABLE = 7,     /* configure: the adapter takes no configuration */
-    CANSER_RANGE = 8,      /* a value is none that the adapter, or the call, can have */
+    CANSER_RANGE = 8,      /* a value is out of the range of the adapter, or of the call */
     CANSER_NO_CONTROL = 9  /* explain: the bytes are not one whole control packet */
 };
 
-/* Why no packet starts at a position. One skipped byte is one reject. */
+/* Reasons why no packet starts at a position. One skipped byte is one reject. */
 enum {
     CANSER_REJECT_MARKER,  /* the byte is no start mark */
-    CANSER_REJECT_TYPE,    /* the type byte is none that the format knows */
+    CANSER_REJECT_TYPE,    /* the format has no such type byte */
     CANSER_REJECT_DLC,     /* the data length code is over 8 */
     CANSER_REJECT_ID,      /* the arbitration id is out of range */
-    CANSER_REJECT_END,     /* the end mark is not where it must be */
-    CANSER_REJECT_SUM,     /* the checksum does not hold */
-    CANSER_REJECT_FIELD,   /* the checksum holds, but a field is out of range */
+    CANSER_REJECT_END,     /* the end mark is missing */
+    CANSER_REJECT_SUM,     /* the checksum is wrong */
+    CANSER_REJECT_FIELD,   /* the checksum is right, but a field is out of range */
     CANSER_REJECT_COMMAND, /* a command of unknown length */
     CANSER_REJECT_CUT,     /* the stream ended inside the candidate */
     CANSER_REJECT_COUNT
 };
 
-/* Why a format cannot carry a frame. */
+/* Reasons why a format cannot carry a frame. */
 enum {
     CANSER_REFUSAL_NONE,
     CANSER_REFUSAL_DLC,    /* dlc over 8 */
@@ -99,18 +100,18 @@ enum {
     CANSER_REFUSAL_COUNT
 };
 
-/* How an adapter takes part in its bus. */
+/* Modes of an adapter on its bus. */
 enum {
     CANSER_MODE_NORMAL,
-    CANSER_MODE_LOOPBACK, /* hears what it sends itself */
-    CANSER_MODE_SILENT,   /* listens, and never drives the bus: no acknowledgement either */
+    CANSER_MODE_LOOPBACK, /* receives what it sends itself */
+    CANSER_MODE_SILENT,   /* listens only: sends nothing, and acknowledges nothing */
     CANSER_MODE_LOOPBACK_SILENT,
     CANSER_MODE_COUNT
 };
 
-/* What a control packet is. */
+/* Kinds of control packets. */
 enum {
-    CANSER_CONTROL_OTHER, /* no document says what it means */
+    CANSER_CONTROL_OTHER, /* its meaning is not documented */
     CANSER_CONTROL_PING,
     CANSER_CONTROL_STATUS,
     CANSER_CONTROL_ERROR,
@@ -129,9 +130,9 @@ typedef struct {
     int64_t ts;      /* nanoseconds, or CANSER_NO_TIME */
 } canser_frame;
 
-/* One packet that is valid but is no CAN frame. */
+/* A packet that is valid but is no CAN frame. */
 typedef struct {
-    uint64_t offset;                    /* of its first byte in the stream */
+    uint64_t offset;                    /* stream offset of its first byte */
     uint8_t len;                        /* 1..CANSER_PACKET_MAX */
     uint8_t bytes[CANSER_CONTROL_ROOM]; /* the packet as it came; zero past len */
 } canser_control;
@@ -147,17 +148,17 @@ typedef struct {
     uint64_t rejects[CANSER_REJECT_COUNT]; /* by reason; they add up to bytes_skipped */
     uint64_t ts_wraps;                     /* device clock: steps forward through zero */
     uint64_t ts_backsteps;                 /* device clock: steps back */
-    uint64_t ts_uncertain;                 /* of these, those of over 2^24 ticks from a clock in
-                                            * line: a restart, a silence of more than half a turn,
-                                            * or a false time */
+    uint64_t ts_uncertain;                 /* steps back of over 2^24 ticks of a clock in line: a
+                                            * restart, a silence of more than half a turn, or a
+                                            * false time */
 } canser_stats;
 
 /* The device clock, unwrapped over the stream. */
 typedef struct {
     int64_t tick_ns;   /* nanoseconds in one tick */
-    uint64_t turned;   /* ticks in whole turns of the counter so far */
-    uint64_t line;     /* where the clock last ran in line, in unwrapped ticks */
-    uint64_t line_at;  /* number of the frame there */
+    uint64_t turned;   /* ticks of all whole turns of the counter so far */
+    uint64_t line;     /* last unwrapped ticks at which the clock ran in line */
+    uint64_t line_at;  /* number of that frame in the stream */
     uint64_t jump_at;  /* number of the last frame whose step was not small */
     uint32_t raw;      /* counter of the last frame as it came */
     uint8_t has_line;  /* 1: `line` is known */
@@ -177,18 +178,18 @@ typedef struct {
     uint8_t frame_min;                /* the shortest frame in bytes */
     uint8_t frame_max;                /* the longest frame as encode writes it, in bytes */
     uint8_t has_clock;                /* 1: frames carry a device timestamp */
-    uint32_t baudrate;                /* of the serial line, as adapters come, in bit/s */
+    uint32_t baudrate;                /* of the serial line, as delivered, in bit/s */
     const uint32_t *bitrates;         /* of the bus, in bit/s, that an adapter can be configured
                                        * to, 0 behind the last; NULL: it takes no configuration */
-    canser_packet ping;               /* comes straight back */
-    canser_packet status_request;     /* is answered by a status packet */
+    canser_packet ping;               /* the adapter sends it back */
+    canser_packet status_request;     /* the adapter answers with a status packet */
     const struct canser_codec *codec; /* private */
 } canser_protocol;
 
-/* How an adapter is to work. */
+/* The configuration of an adapter. */
 typedef struct {
     uint32_t bitrate;     /* of the bus, in bit/s: one of the row's */
-    uint32_t filter_id;   /* of the frames that pass, where the mask has a 1 */
+    uint32_t filter_id;   /* the id's bits that frames must have where the mask has a 1 */
     uint32_t filter_mask; /* 0: all frames pass */
     uint8_t mode;         /* CANSER_MODE_* */
     uint8_t ext_only;     /* 1: receives extended frames only; 0: both kinds */
@@ -196,40 +197,40 @@ typedef struct {
     uint8_t fixed;        /* 1: reports frames in packets of a fixed length */
 } canser_config;
 
-/* What a control packet says. Fields that its kind does not have are zero. */
+/* The meaning of a control packet. Fields that its kind does not have are zero. */
 typedef struct {
     int kind;                /* CANSER_CONTROL_* */
     uint8_t receive_errors;  /* STATUS: the adapter's receive error counter */
     uint8_t transmit_errors; /* STATUS: its transmit error counter */
-    uint8_t number;          /* ERROR: what has happened, by the adapter's own numbers */
+    uint8_t number;          /* ERROR: the adapter's own number of the error */
     canser_config config;    /* CONFIGURATION */
 } canser_report;
 
-/* The state of one stream. Lives in the caller's memory, may be copied, holds
- * no pointer into the caller's buffers. Fields are the library's own. */
+/* The state of one stream, in the caller's memory. It may be copied, and holds no
+ * pointer into the caller's buffers. All fields are private but the counters. */
 typedef struct {
     const canser_protocol *protocol;
     canser_clock clock;
     canser_stats stats;
     uint64_t skip_end; /* stream offset behind the last skipped byte */
     uint8_t carry_len;
-    uint8_t carry[CANSER_PACKET_MAX]; /* the start of a packet that is not whole yet */
+    uint8_t carry[CANSER_PACKET_MAX]; /* held bytes: the start of a packet that is not whole yet */
 } canser_decoder;
 
-/* Where a call puts what it finds. The caller sets the arrays and their
- * capacities and owns them; each call sets the two counts. */
+/* The results of a call. The caller owns the arrays, and sets them and their
+ * capacities. Each call sets the two counts. */
 typedef struct {
     canser_frame *frames;
     size_t frame_cap;
-    int64_t *offsets;         /* stream offset of each frame, frame_cap long; or NULL */
-    int64_t *ends;            /* stream offset behind each, as long; or NULL */
+    int64_t *offsets;         /* stream offsets of the frames, frame_cap long; or NULL */
+    int64_t *ends;            /* stream offsets behind them, as long; or NULL */
     canser_control *controls; /* or NULL: control packets are counted, not kept */
     size_t control_cap;
     size_t frame_count;
     size_t control_count;
 } canser_batch;
 
-/* What canser_encode did. */
+/* The result of canser_encode(). */
 typedef struct {
     size_t frame_count; /* frames encoded: the index of the frame that stopped it */
     size_t byte_count;  /* bytes written */
@@ -237,38 +238,38 @@ typedef struct {
 } canser_encoded;
 
 /* The protocol at an index of the table, in the order of the names; NULL past
- * the last one. Lives as long as the program. */
+ * the last one. It is constant. */
 const canser_protocol *canser_protocol_at(size_t index);
 
 /* The name of a reject reason: one lower-case word, constant. NULL if there is
  * no such reason. */
 const char *canser_reject_name(int reason);
 
-/* What a refusal says and its remedy: one phrase, constant. NULL if there is no
- * such refusal. */
+/* The text of a refusal, with the remedy: one phrase, constant. NULL if there is
+ * no such refusal. */
 const char *canser_refusal_text(int refusal);
 
-/* What frames are called that are refused for a reason, where they are counted: a plural,
+/* The name of the frames that are refused for a reason, as counts show it: a plural,
  * constant. NULL if there is no such refusal. */
 const char *canser_refusal_name(int refusal);
 
 /* The name of a mode, and of a kind of control packets: lower case, constant. NULL
- * if there is none such. */
+ * if there is no such number. */
 const char *canser_mode_name(int mode);
 const char *canser_control_name(int kind);
 
-/* Start a stream: all counters zero, nothing held, the clock not started.
+/* Start a stream: all counters are zero, no byte is held, the clock has not started.
  * `tick_ns` is the unit of the device's timestamps in nanoseconds; a protocol
  * without a clock does not use it. Returns CANSER_OK, CANSER_NULL or CANSER_TICK. */
 int canser_decoder_init(canser_decoder *self, const canser_protocol *protocol, int64_t tick_ns);
 
 /* Decode the next bytes of the stream into `batch`.
  *
- * Takes all of `data`, unless an array of the batch is full first: then `*used`
+ * Takes all of `data`, unless an array of the batch becomes full: then `*used`
  * is less than `data_len`, and the caller calls again with the rest. A packet
- * that is not whole at the end is held and counts as taken. Reads nothing
- * outside data[0..data_len), writes nothing at or past a capacity, and rows
- * past a count are left as they were. With frame_cap 0 nothing is taken.
+ * that is not whole at the end is held, and its bytes count as taken. Reads only
+ * data[0..data_len), writes only below the capacities, and leaves rows past a
+ * count as they were. With frame_cap 0 no byte is taken.
  *
  * Returns CANSER_OK; on CANSER_NULL, CANSER_MISALIGNED and CANSER_OVERLAP
  * nothing was taken and the decoder is unchanged. `data` may be NULL if
@@ -277,10 +278,10 @@ int canser_decoder_init(canser_decoder *self, const canser_protocol *protocol, i
 int canser_decoder_feed(canser_decoder *self, const uint8_t *data, size_t data_len,
                         canser_batch *batch, size_t *used);
 
-/* End the stream: a candidate that lacks bytes is a reject, and what is held is
- * scanned to its end. Call again while carry_len is not 0: an array of the
- * batch was full. Feeding afterwards goes on with the same counters and
- * offsets. Returns as canser_decoder_feed. */
+/* End the stream: a candidate that lacks bytes is a reject, and the held bytes are
+ * scanned to their end. Call again while carry_len is not 0: an array of the
+ * batch was full. The stream may be fed afterwards, with the same counters and
+ * offsets. Returns as canser_decoder_feed(). */
 int canser_decoder_flush(canser_decoder *self, canser_batch *batch);
 
 /* Encode frames into `out`, one packet behind the other.
@@ -298,9 +299,9 @@ int canser_decoder_flush(canser_decoder *self, canser_batch *batch);
 int canser_encode(const canser_protocol *protocol, int64_t tick_ns, const canser_frame *frames,
                   size_t frame_count, uint8_t *out, size_t out_cap, canser_encoded *result);
 
-/* Tell of each of some frames why the format cannot carry it, as canser_encode() would:
- * refusals[i] is CANSER_REFUSAL_*, NONE where it can; CANSER_REFUSAL_TIME only where there is
- * no other reason.
+/* Find for each frame the reason for which canser_encode() would refuse it: refusals[i] is
+ * CANSER_REFUSAL_*, NONE if the format can carry it. CANSER_REFUSAL_TIME is only given if there
+ * is no other reason.
  *
  * Returns CANSER_OK; CANSER_NULL, CANSER_MISALIGNED and CANSER_OVERLAP before anything was
  * written. `refusals` has room for `frame_count`; it and `frames` may be NULL if that is 0. */
@@ -309,118 +310,119 @@ int canser_refuse(const canser_protocol *protocol, const canser_frame *frames, s
 
 /* Make the packet that configures an adapter. Any flag but 0 counts as 1.
  *
- * Returns CANSER_OK; CANSER_NULL; CANSER_UNABLE where the row has no bit rates;
- * CANSER_RANGE for a bit rate that is none of them, no mode, or a filter or mask over
- * 0x1FFFFFFF. `*packet` is set on every return on which it is not NULL, to none after
- * an error. */
+ * Returns CANSER_OK; CANSER_NULL; CANSER_UNABLE if the row has no bit rates;
+ * CANSER_RANGE for a bit rate that is not one of them, an unknown mode, or a filter or
+ * mask over 0x1FFFFFFF. `*packet` is set on every return on which it is not NULL; after
+ * an error its length is 0. */
 int canser_configure(const canser_protocol *protocol, const canser_config *config,
                      canser_packet *packet);
 
-/* Tell what a control packet means: `len` bytes that are one, as a decoder gave it.
+/* Find the meaning of a control packet: of the `len` bytes that a decoder gave for it.
  *
  * The same bytes mean the same in both directions: a request for the status reads as
- * a status without errors. What the format leaves open is CANSER_CONTROL_OTHER: unknown
- * commands, and configurations with a value that canser_configure() never sends, but
- * for filter and mask, of which all 32 bits are told.
+ * a status without errors. CANSER_CONTROL_OTHER is given for unknown commands, and for
+ * configurations with a value that canser_configure() never sends. Filter and mask may
+ * have any value of 32 bits.
  *
- * Returns CANSER_OK; CANSER_NULL; CANSER_NO_CONTROL where the bytes are a frame, noise,
- * cut, or more than one packet. `*report` is set on every return on which it is not NULL,
+ * Returns CANSER_OK; CANSER_NULL; CANSER_NO_CONTROL if the bytes are a frame, noise, cut,
+ * or more than one packet. `*report` is set on every return on which it is not NULL,
  * to OTHER after an error. */
 int canser_explain(const canser_protocol *protocol, const uint8_t *packet, size_t len,
                    canser_report *report);
 
-/* ---- For the binding, and programs that do as much: parts of a stream by several threads, host
- * times, recordings, one decoder for several threads. */
+/* ---- For the binding, and for programs with the same needs: parts of a stream decoded by several
+ * threads, host times, recordings, one decoder used by several threads. */
 
-/* The frames in which a chunk's clock must settle to be joined. */
+/* The number of frames in which a chunk's clock must settle for the chunk to be joined. */
 #define CANSER_SETTLE_MAX 64
 
-/* The longest that a byte may take on a line: 5 bits a second. */
+/* The longest time of a byte on a line, in nanoseconds: 5 bits a second. */
 #define CANSER_BYTE_NS_MAX 2000000000
 
-/* Of so many frames of a piece all but one may be false, and its sample is a true one. */
+/* The frames of a piece that are kept for its sample: all but one of them may be false. */
 #define CANSER_LEAST_LATE 3
 
-/* A stretch of a stream that was decoded from a guess where its first packet starts. It is joined
- * to the stream when all that lies before it is decoded: that is how several threads decode one
- * stream. Lives in the caller's memory; all fields but the three that say so are private. */
+/* A stretch of a stream that was decoded from a guess where its first packet starts. When all bytes
+ * before it are decoded, it is joined to the stream. So several threads can decode one stream. It
+ * lives in the caller's memory; all fields but the three that say so are private. */
 typedef struct {
     uint64_t begin;         /* for the caller: the stream offset at which it starts, a guess */
     uint64_t end;           /* for the caller: the stream offset behind it */
     size_t frame_count;     /* for the caller: its frames */
-    canser_decoder decoder; /* of the stretch alone, as if it were a stream */
+    canser_decoder decoder; /* the state of the stretch alone, as of a stream */
     uint8_t skips_first;    /* 1: no packet starts at `begin` */
-    size_t settled;         /* joined: so many frames have their times */
+    size_t settled;         /* joined: number of frames that have their times */
     int64_t shift;          /* joined: nanoseconds to add to the times of the others */
     uint32_t raws[CANSER_SETTLE_MAX]; /* device timestamps of the first frames */
 } canser_chunk;
 
-/* Decode the packets and skip the bytes that start in data[0..stop), and hold
- * nothing: what starts there but ends behind it is taken whole, and nothing is taken
- * of the last bytes of `data`, where a packet may not be whole. So the caller may go
- * on at data[*used]. Otherwise, and in what it returns, as canser_decoder_feed; bytes
- * that are still held are taken first, if `data` completes them. */
+/* Decode the packets and skip the bytes that start in data[0..stop), and hold no bytes.
+ * A packet that starts there and ends behind it is taken whole. The last CANSER_BEHIND
+ * bytes of `data`, where a packet may not be whole, are not taken. So the caller may go
+ * on at data[*used]. Bytes that were held before are taken first, if `data` completes
+ * them. Everything else, and the returned status, is as in canser_decoder_feed(). */
 int canser_decoder_advance(canser_decoder *self, const uint8_t *data, size_t data_len, size_t stop,
                            canser_batch *batch, size_t *used);
 
 /* Decode what starts in data[first..stop) of a stream whose offset at data[0] is
- * `offset`, from a guess where the first packet starts: a scan that begins some way
- * before `first` mostly falls into step on the way. Ends early where an array of the
- * batch is full, and before the last bytes of `data`, as canser_decoder_advance.
+ * `offset`, from a guess where the first packet starts. The guess comes from a scan that
+ * begins 4 KiB before `first`: it mostly falls into step with the stream on the way. Ends
+ * early if an array of the batch is full, and before the last bytes of `data`, as
+ * canser_decoder_advance() does.
  *
- * The frames and offsets are in the batch, but not the times: canser_chunk_deliver()
- * makes them when the chunk is joined. Returns CANSER_OK, or CANSER_NULL, CANSER_TICK,
+ * The batch has the frames and offsets, but no times: canser_chunk_deliver() sets them
+ * when the chunk is joined. Returns CANSER_OK, or CANSER_NULL, CANSER_TICK,
  * CANSER_MISALIGNED or CANSER_OVERLAP before anything is done; an array without room is
  * CANSER_NULL, too. */
 int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, int64_t tick_ns,
                         const uint8_t *data, size_t data_len, size_t first, size_t stop,
                         uint64_t offset, canser_batch *batch);
 
-/* Join a chunk to the stream: counters, clock, and the place where it stands, as if
- * `self` had decoded those bytes. `frames` are the chunk's; the first few get their times
- * here. Takes the same time for any number of frames. Returns CANSER_OK; CANSER_NULL;
+/* Join a chunk to the stream: its counters, clock and offset become as if `self` had
+ * decoded those bytes. `frames` are the chunk's; the first few get their times here. It
+ * takes the same time for any number of frames. Returns CANSER_OK; CANSER_NULL;
  * CANSER_MISMATCH, and nothing was changed, if the stream does not stand at chunk->begin,
- * holds bytes, is of another protocol or unit, or if the device clock leaps so often that
- * it cannot be told what it does in the chunk. */
+ * holds bytes, has another protocol or unit, or if the device clock does not settle within
+ * CANSER_SETTLE_MAX frames. */
 int canser_decoder_join(canser_decoder *self, canser_chunk *chunk, canser_frame *frames);
 
 /* Copy frames[first..first + frame_count) of a joined chunk to `out`, with their times.
- * Where they lie there already they get their times; otherwise the two must not overlap.
- * Works on its own arguments alone: meanwhile the stream may go on. Returns CANSER_OK or
+ * If `out` is their own place, they get their times there; otherwise the two must not
+ * overlap. Uses its arguments only: meanwhile the stream may go on. Returns CANSER_OK or
  * CANSER_NULL. */
 int canser_chunk_deliver(const canser_chunk *self, canser_frame *frames, size_t first,
                          size_t frame_count, canser_frame *out);
 
-/* The bytes of one read of a port, behind those of the read before. */
+/* A piece: the bytes of one read of a port, behind those of the read before. */
 typedef struct {
-    int64_t end; /* stream offset behind them */
-    int64_t ns;  /* when they had come */
+    int64_t end; /* stream offset behind its bytes */
+    int64_t ns;  /* the host's time when they had come */
 } canser_piece;
 
-/* The least late frame of a piece: its time by the device's clock, and when it had come. */
+/* A sample: the least late frame of a piece, its device time and its arrival. */
 typedef struct {
     int64_t device;
     int64_t arrival;
-    int64_t counted; /* by how much it was counted back from the last frame of the piece */
+    int64_t counted; /* how far it was counted back from the last frame of the piece */
 } canser_sample;
 
-/* The frames of a piece with the lowest arrival less device time, the lowest first; of equal ones
- * the first ones. Private. */
+/* The frames of a piece with the lowest differences arrival - device time, the lowest first; of
+ * equal ones the first ones. Private. */
 typedef struct {
     size_t count;
     canser_sample frames[CANSER_LEAST_LATE];
 } canser_least_late;
 
-/* Which turn of its counter a device's clock is in. Private. */
+/* The turn of its counter that a device's clock is in. Private. */
 typedef struct {
     int64_t shift;      /* nanoseconds to add to a decoder's time */
-    int64_t delay;      /* arrival less device time of the last frame that was near those before */
-    int64_t last_delay; /* of the last one that was not */
-    uint8_t run;        /* how many of these in a row were near each other */
+    int64_t delay;      /* arrival - device time of the last frame near those before it */
+    int64_t last_delay; /* the same for the last frame that was not near them */
+    uint8_t run;        /* number of such frames in a row that were near each other */
     uint8_t started;    /* 1: `delay` and `shift` are set */
 } canser_turns;
 
-/* What a device's clock stands at: host's time = host + run + run * drift, where run =
+/* The line that maps a device's clock: host's time = host + run + run * drift, where run =
  * device time - device; rounded towards `host + run`, modulo 2^64. */
 typedef struct {
     int64_t device;
@@ -428,108 +430,109 @@ typedef struct {
     double drift; /* between -1 and 1 */
 } canser_line;
 
-/* Which times a line gives are believed. */
+/* Limits within which a time of the line is believed. */
 typedef struct {
-    int64_t reached; /* a device time that the clock had come to */
-    int64_t early;   /* 0 or more: how far a device time may lie before that one, and a host
-                      * time behind its arrival */
+    int64_t reached; /* a device time that the clock has reached */
+    int64_t early;   /* 0 or more: how far a device time may lie before `reached`, and a
+                      * host time behind its arrival */
     int64_t late;    /* 0 or more: how far a host time may lie before its arrival */
 } canser_trust;
 
-/* Why canser_timing_assign() has returned. */
+/* Reasons why canser_timing_assign() returned. */
 enum {
     CANSER_TIMING_DONE = 0,    /* all frames have their times */
-    CANSER_TIMING_BUCKET = 1,  /* the samples are enough to learn from */
+    CANSER_TIMING_BUCKET = 1,  /* there are enough samples to learn from */
     CANSER_TIMING_FULL = 2,    /* there is no room for another sample */
     CANSER_TIMING_SILENCE = 3, /* the next frame comes after a silence */
 };
 
-/* How the frames of one stream get their times. Zero it, and set the fields that are not private;
- * those marked "any time" may be set between any two calls. */
+/* The state of one stream's times. The caller zeroes it, and sets the fields that are not private.
+ * Those marked "any time" may be set between any two calls. */
 typedef struct {
-    int64_t tick_ns;      /* the unit of the device's times, at most INT32_MAX; 0: it sends none */
-    uint8_t keeps_device; /* 1: frames keep the device's time, but for its turn */
-    int64_t silence_ns;   /* between two arrivals: more stops a call */
-    int64_t bucket_ns;    /* samples are enough when this lies between the first and the last, */
-    size_t bucket_least;  /* and there are so many of them; */
-    size_t bucket_most;   /* any time: or when there are so many */
-    double byte_ns;       /* any time: what a byte takes on the line, 0 to CANSER_BYTE_NS_MAX */
-    canser_line line;     /* any time: what the device's clock stands at, */
-    uint8_t has_line;     /* any time: 1: if that is known */
-    canser_trust trust;   /* any time */
-    canser_sample *samples; /* any time: room for samples, */
-    size_t sample_cap;      /* any time: for so many; may be NULL if that is 0 */
-    size_t sample_count;    /* any time: samples in it. Each call adds some */
-    int stopped;            /* CANSER_TIMING_*: why the last call has returned */
+    int64_t tick_ns;        /* unit of the device's times, at most INT32_MAX; 0: it sends none */
+    uint8_t keeps_device;   /* 1: frames keep the device's time, with the turn set */
+    int64_t silence_ns;     /* a longer time between two arrivals stops a call */
+    int64_t bucket_ns;      /* samples are enough if the first and the last are this far apart, */
+    size_t bucket_least;    /* and there are this many; */
+    size_t bucket_most;     /* any time: or if there are this many */
+    double byte_ns;         /* any time: time of a byte on the line, 0 to CANSER_BYTE_NS_MAX */
+    canser_line line;       /* any time: the line that maps the device's clock */
+    uint8_t has_line;       /* any time: 1 if `line` is known */
+    canser_trust trust;     /* any time */
+    canser_sample *samples; /* any time: room for samples */
+    size_t sample_cap;      /* any time: its length; if that is 0, `samples` may be NULL */
+    size_t sample_count;    /* any time: samples in it; calls add to them */
+    int stopped;            /* CANSER_TIMING_*: why the last call returned */
     /* Private. */
     canser_turns turns;
-    canser_least_late least_late; /* of the piece that the last frame was in */
-    int64_t piece_end;            /* of that piece */
-    int64_t arrived;              /* when the last frame had come */
+    canser_least_late least_late; /* those of the last frame's piece */
+    int64_t piece_end;            /* `end` of that piece */
+    int64_t arrived;              /* arrival of the last frame */
     int64_t latest;               /* no host time lies before this one */
 } canser_timing;
 
 /* Set the times of frames[*done..count), the next ones of a stream, in place. `*done` is raised as
  * frames get them.
  *
- * at[i] is the stream offset of a frame's first byte where the device sends times, else the one
- * behind its last byte: the first or the last byte is the one that counts. It came with the first
- * piece that ends behind it; as much before pieces[].ns as the rest of that piece takes on the
- * line, rounded down, but not before the piece before. So pieces[0] only tells when the next one
- * began, unless a byte asked for lies in it. Behind the last piece all bytes have its time.
- * Without times of a device that is all, and frames[i].ts may be anything.
+ * If the device sends times, at[i] is the stream offset of a frame's first byte; else it is the
+ * offset behind its last byte. The arrival is that of this first or last byte. A byte came with
+ * the first piece that ends behind it: earlier than pieces[].ns by the time that the rest of the
+ * piece takes on the line, rounded down, but not before the piece before. So pieces[0] only tells
+ * when the next piece began, unless one of these bytes lies in it. Bytes behind the last piece
+ * have its time. Without times of a device frames get their arrivals, and frames[i].ts may have
+ * any value before.
  *
- * Else frames[i].ts is what a decoder with the same `tick_ns` gave. A counter of 32 bits tells a
- * time but for whole turns; the host's clock tells the turn, as long as the arrival is late by
- * less than half a turn: after a silence of any length, and whatever false times came before. The
- * first frame keeps the value of its counter. A frame then has
+ * With times of a device frames[i].ts is what a decoder with the same `tick_ns` gave. A counter of
+ * 32 bits does not tell its turn. The arrival tells it, as long as it is late by less than half a
+ * turn: after a silence of any length, and after any false times. The first frame keeps the value
+ * of its counter. A frame then gets
  *
- * - with keeps_device that time of the device;
- * - while no line is known, or where what it gives is not believed, its arrival;
- * - else the host's time by the line, but none behind its arrival, and none before any other that
- *   a line gave, or before the last arrival without one.
+ * - with keeps_device, this time of the device;
+ * - its arrival, if no line is known or the time of the line is not believed;
+ * - else the time of the line, but none behind its arrival, none before another time of the line,
+ *   and none before the last arrival without a line.
  *
- * Each piece with a frame gives a sample, of which an estimate of the device's clock can learn:
- * its frame with the lowest arrival less device time. False frames have any device time: so one of
- * the two lowest that is lower than the next one by over a minute does not count. A sample is
- * given once a frame of a later piece is at hand; before that frame a call stops when the samples
- * are enough or their room is full, and so it does before the first frame after a silence. The
- * caller changes what it learns, and calls again with the rest.
+ * Each piece with a frame gives a sample, from which the caller can estimate the device's clock:
+ * its frame with the lowest difference arrival - device time. A false frame has any device time,
+ * so one of the two lowest that is over a minute lower than the next one does not count. A sample
+ * is given when a frame of a later piece is there. A call stops before that frame if the samples
+ * are enough or their room is full. It also stops before the first frame after a silence. The
+ * caller sets what it has learned, and calls again with the rest.
  *
- * Pieces and offsets are in ascending order, no piece has 2^32 bytes, and no device has run for
- * 2^63 nanoseconds, else the times are of no use. What comes out does not depend on how frames
- * are cut into calls. Returns CANSER_OK; CANSER_NULL (also for no pieces), CANSER_MISALIGNED,
- * CANSER_TICK or CANSER_RANGE before anything is written. */
+ * Pieces and offsets must be in ascending order, a piece must have less than 2^32 bytes, and a
+ * device must have run for less than 2^63 nanoseconds. Otherwise the times are wrong. The times do
+ * not depend on how frames are cut into calls. Returns CANSER_OK; CANSER_NULL (also for no pieces),
+ * CANSER_MISALIGNED, CANSER_TICK or CANSER_RANGE before anything is written. */
 int canser_timing_assign(canser_timing *self, const canser_piece *pieces, size_t piece_count,
                          const int64_t *at, canser_frame *frames, size_t count, size_t *done);
 
-/* Which blocks of a recording canser_recording_gather() takes. The caller sets the first three
- * fields; a call goes on with next_id as the call before has left it. */
+/* The blocks of a recording that canser_recording_gather() takes. The caller sets the first three
+ * fields. A call leaves in next_id the id for the next call. */
 typedef struct {
-    uint64_t next_id;         /* of the next block, if nothing is missing before it */
+    uint64_t next_id;         /* id of the next block, if no block is missing */
     uint32_t interface;       /* the number of the interface in the file */
     uint8_t has_ids;          /* 1: blocks have ids; 0: drop counts instead, in old files */
     uint32_t crc32s[16][256]; /* private: the CRC32 of a byte with 0 to 15 zeros behind it */
 } canser_recording;
 
-/* What canser_recording_gather() did. */
+/* The result of canser_recording_gather(). */
 typedef struct {
-    size_t used;        /* bytes of the file: where it stopped, between two blocks */
+    size_t used;        /* bytes of the file that were taken: whole blocks */
     size_t byte_count;  /* bytes of the line */
     size_t piece_count; /* blocks */
 } canser_gathered;
 
-/* Set up what does not change from call to call. Returns CANSER_OK or CANSER_NULL. */
+/* Set up the tables for all calls. Returns CANSER_OK or CANSER_NULL. */
 int canser_recording_init(canser_recording *self);
 
 /* Gather the bytes of the line from the blocks of a recording, one behind the other.
  *
- * Takes blocks from data[0] on as long as nothing is unusual about them: a little-endian enhanced
- * packet block of the interface, with at least one byte, as RecordingWriter writes it; the CRC32
- * holds, its id is the next one, or where there are no ids its drop count is 0; there is no
- * comment, and its time is less than 2^63. Stops before any other block, one that is not whole in
- * data, one whose bytes do not fit into `out`, and where `pieces` is full. It stops before some
- * block that is good: the caller takes that one by itself.
+ * Takes usual blocks from data[0] on. A usual block is a little-endian enhanced packet block of the
+ * interface, with at least one byte, as RecordingWriter writes it. Its CRC32 is right, its id is
+ * the next one (without ids its drop count is 0), it has no comment, and its time is less than
+ * 2^63. Stops before any other block, before a block that is not whole in data or does not fit into
+ * `out`, and when `pieces` is full. A block before which it stops may be a good one: the caller
+ * has to look at it.
  *
  * pieces[i] has the end of block i's bytes in `out`, and its time. Bytes of `out` past
  * byte_count may have been written over. Returns CANSER_OK; CANSER_NULL, CANSER_MISALIGNED and
@@ -540,24 +543,22 @@ int canser_recording_gather(canser_recording *self, const uint8_t *data, size_t 
                             canser_gathered *result);
 
 /* A decoder that several threads may use, for a binding to a language in which each call is
- * expensive. While one thread works on it, the calls of others return at once, and must be tried
- * again. */
+ * expensive. While one thread uses it, the calls of other threads return at once, and must be
+ * repeated. */
 typedef struct {
-    canser_decoder
-        decoder; /* to change only between take and release, below; to read at any time */
-    uint8_t
-        keeps_controls; /* for the caller: 1: canser_stream_feed() leaves control packets to it */
-    uint32_t taken;     /* private: what works on it */
+    canser_decoder decoder; /* may be read at any time, and changed between take and release */
+    uint8_t keeps_controls; /* set by the caller: 1: canser_stream_feed() takes no control packet */
+    uint32_t taken;         /* private: who uses it */
 } canser_stream;
 
-/* The most bytes of one small call: other threads may wait until it ends. */
+/* The most bytes of one small call, as other threads may wait until it ends. */
 #define CANSER_SMALL_MAX 1048576
 
-/* Take the stream; calls with its decoder are the caller's alone until canser_stream_release().
- * Returns 1, or 0 where another caller has it. */
+/* Take the stream: until canser_stream_release() only the caller may use its decoder. Returns 1, or
+ * 0 if another caller has it. */
 int canser_stream_take(canser_stream *self);
 
-/* Give back what canser_stream_take() took, if it did. */
+/* Release the stream, if canser_stream_take() took it. */
 void canser_stream_release(canser_stream *self);
 
 /* Arrays to decode into, as in a canser_batch; a small call changes nothing here. */
@@ -570,15 +571,16 @@ typedef struct {
 
 /* Decode the next bytes of a stream, as canser_decoder_feed().
  *
- * All or nothing. Returns the number of frames. Where `frames` is full, the bytes that were not
- * taken, times 2^32, are added. Returns -1, and nothing is changed but rows of the arrays, where
- * another call is needed to tell why, or to do it: the stream is taken; an argument is wrong; there
- * are over CANSER_SMALL_MAX bytes; a control packet is among them that must be kept. */
+ * It does all or nothing. Returns the number of frames. If `frames` is full, 2^32 times the number
+ * of bytes that were not taken is added. Returns -1, with no change but to rows of the arrays, if
+ * the stream is taken, an argument is wrong, there are over CANSER_SMALL_MAX bytes, or a control
+ * packet among them must be kept. canser_decoder_feed() then does the work, or names the mistake.
+ */
 int64_t canser_stream_feed(canser_stream *self, const uint8_t *data, size_t data_len,
                            const canser_target *target);
 
-/* Decode a whole stream. Returns the number of frames, plus 2^32 times the skipped bytes; -1
- * where an argument is wrong, there are over CANSER_SMALL_MAX bytes, or `frames` has become full.
+/* Decode a whole stream. Returns the number of frames, plus 2^32 times the number of skipped bytes.
+ * Returns -1 if an argument is wrong, there are over CANSER_SMALL_MAX bytes, or `frames` is full.
  */
 int64_t canser_decode_small(const canser_protocol *protocol, int64_t tick_ns, const uint8_t *data,
                             size_t data_len, canser_frame *frames, size_t frame_cap);
