@@ -1,10 +1,10 @@
 /* A stretch of a stream, decoded from a guess, and its join to the stream.
  *
- * The rule of the scan knows no past: from one position on, every scan finds the same.
- * So a chunk is right from the first packet on if it starts where the stream stands, and
- * that is all that is asked at the join; where it does not, the chunk is thrown away.
- * What does have a past is made good there: a run of skipped bytes across the border,
- * and the device clock.
+ * The scan does not depend on the bytes before: from one position on, every scan finds
+ * the same. So a chunk is right if it starts where the stream stands, and the join checks
+ * nothing else; otherwise the chunk is thrown away. Two things do depend on the bytes
+ * before, and are corrected at the join: a run of skipped bytes across the border, and the
+ * device clock.
  */
 #include "clock.h"
 
@@ -12,9 +12,9 @@
 #include <emmintrin.h>
 #endif
 
-/* How much of the stream a guess reads before its stretch: a scan that starts anywhere
- * falls into step with the true one within some packets, or never. In `cantalope`, which
- * marks nothing, it mostly takes a few hundred bytes. */
+/* Bytes before the stretch that a guess reads. A scan that starts anywhere falls into step
+ * with the true one within some packets, or never. In `cantalope`, which has no marks, it
+ * mostly takes a few hundred bytes. */
 enum { RUN_UP = 4096 };
 
 /* Decode on from data[*pos] up to `stop`, behind what is in the batch already, until it
@@ -62,7 +62,7 @@ int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, int
     size_t pos = first < RUN_UP ? 0 : first - RUN_UP;
     size_t used = 1;
 
-    /* An array that is full on the way is emptied: only where it ends counts. */
+    /* A full array is emptied here: only the place where this scan ends is of use. */
     while (!status && pos < first && used) {
         status =
             canser_decoder_advance(decoder, data + pos, data_len - pos, first - pos, batch, &used);
@@ -97,16 +97,16 @@ int canser_chunk_decode(canser_chunk *self, const canser_protocol *protocol, int
     return status;
 }
 
-/* Whether the next jump will be measured against the frame before it, whatever came
- * earlier. Two clocks of which this is true go on alike. */
+/* Whether the next jump of a clock is measured against the frame before it, whatever came
+ * earlier. If this holds for two clocks, they give the same times from here on. */
 static bool clock_is_settled(const canser_clock *clock, uint64_t number)
 {
     return clock->near_line || number - clock->jump_at >= IN_LINE;
 }
 
-/* Go on with the stream's clock where the chunk had begun with one of its own: frame by
- * frame until both are settled, and from there by one difference. False, and nothing is
- * changed, if they do not settle. */
+/* Continue the stream's clock through the chunk, which was decoded with a clock of its own:
+ * frame by frame until both are settled, and from there by one difference. Returns false,
+ * with no change, if they do not settle. */
 static bool join_clock(canser_decoder *self, canser_chunk *chunk, canser_frame *frames)
 {
     const canser_clock *const last = &chunk->decoder.clock;
@@ -171,7 +171,7 @@ int canser_decoder_join(canser_decoder *self, canser_chunk *chunk, canser_frame 
     stats->bytes_skipped += more->bytes_skipped;
     stats->frames += more->frames;
     stats->controls += more->controls;
-    /* A run of skipped bytes across the border is one. */
+    /* A run of skipped bytes across the border is counted once. */
     stats->resyncs += more->resyncs - (chunk->skips_first && self->skip_end == chunk->begin);
     for (int reason = 0; reason < CANSER_REJECT_COUNT; reason++)
         stats->rejects[reason] += more->rejects[reason];
@@ -180,8 +180,8 @@ int canser_decoder_join(canser_decoder *self, canser_chunk *chunk, canser_frame 
     return CANSER_OK;
 }
 
-/* Store a word that is not read soon, past the cache where the machine can: otherwise it reads each
- * line of memory before the line is written over. */
+/* Store a word that is not read soon, past the cache if the machine can: otherwise it would read
+ * each line of memory before it is written over. */
 CANSER_INLINE void store_past(void *to, uint64_t word)
 {
 #if defined(__x86_64__)
@@ -191,7 +191,7 @@ CANSER_INLINE void store_past(void *to, uint64_t word)
 #endif
 }
 
-/* What was stored past the cache is seen by other threads after this. */
+/* Make stores past the cache visible to other threads. */
 CANSER_INLINE void settle_stores(void)
 {
 #if defined(__x86_64__)
@@ -209,7 +209,7 @@ int canser_chunk_deliver(const canser_chunk *self, canser_frame *frames, size_t 
     const size_t end = first + frame_count;
 
     if (out == frames + first) {
-        /* They lie there already; mostly all have their times, too. */
+        /* The frames are in their place; mostly all have their times, too. */
         if (self->shift)
             for (size_t i = first > self->settled ? first : self->settled; i < end; i++)
                 frames[i].ts = (int64_t)((uint64_t)frames[i].ts + (uint64_t)self->shift);
