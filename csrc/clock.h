@@ -1,34 +1,35 @@
 /* Private: the device clock, a counter of 32 bits unwrapped over the stream.
  *
- * Signed differences: each frame adds (int32)(raw - previous raw), so a wrap is a
- * step forward, and a false time out of the noise is undone by the next good one.
+ * Each frame adds the signed difference (int32)(raw - previous raw). So a wrap is a
+ * step forward, and the next good time corrects a false one out of noise.
  *
- * Mostly. Half a turn has no sign: a counter whose top bit is flipped goes half a
- * turn away and half a turn back, and both read as steps back; two false times in
- * a row can go round the circle in three steps. Then a whole turn, 49.7 days of
- * milliseconds, would be wrong for the rest of the stream. So a clock that has run
- * in line is remembered, and if one of the next few frames is near where it stood,
- * that one is measured from there, whatever came between.
+ * There are two exceptions. Half a turn has no sign: a counter whose top bit is flipped
+ * goes half a turn away and half a turn back, and both read as steps back. And two false
+ * times in a row can go round the circle in three steps. All times after that would be a
+ * whole turn off, 49.7 days of milliseconds. So the last value of a clock that ran in line
+ * is kept, and one of the next few frames that is near this value is measured from it,
+ * whatever came between.
  */
 #ifndef CANSER_CLOCK_H
 #define CANSER_CLOCK_H
 
 #include "protocol.h"
 
-/* A step of at most so many ticks is small: 16.8 s of microseconds, 4.7 hours of
- * milliseconds, and one in 128 of the steps that noise makes. */
+/* The most ticks of a small step: 16.8 s of microseconds, 4.7 hours of milliseconds. Of the
+ * steps that noise makes, 1 in 128 is as small. */
 #define SMALL_STEP (INT32_C(1) << 24)
 
-/* A clock that has made so many small steps forward in a row runs in line. Noise
- * never does, and device clocks hardly do anything else. */
+/* A clock runs in line after this many small steps forward in a row. Noise does not make
+ * them (each has a chance of 1 in 256), and device clocks do almost always. */
 enum { IN_LINE = 16 };
 
-/* Noise makes hardly more than three false frames in a row. Further on, a frame
- * near the line may be one that really came a whole turn later. */
+/* The most frames after which a frame near the line is still measured from it: noise hardly
+ * makes more than three false frames in a row. Later, such a frame may really have come a
+ * whole turn later. */
 enum { LINE_REACH = 4 };
 
-/* A step that is not small and forward: the first frame, a wrap, a step back, a
- * long silence, a false time. Sets `turned` for the frame. */
+/* Handle a step that is not small and forward: the first frame, a wrap, a step back, a long
+ * silence, a false time. Sets `turned` for the frame. */
 CANSER_COLD void clock_jump(canser_clock *clock, uint32_t raw, uint64_t number, canser_stats *stats)
 {
     if (number == 0)
@@ -58,14 +59,15 @@ CANSER_COLD void clock_jump(canser_clock *clock, uint32_t raw, uint64_t number, 
     clock->jump_at = number;
 }
 
-/* Whether the clock goes on by a small step. One test for all that is rare: a step
- * back is negative, so large here. */
+/* Whether the clock goes on by a small step forward. One test covers all rare cases: as an
+ * unsigned number a step back is large. */
 CANSER_INLINE bool clock_is_small_step(uint64_t before, uint64_t raw)
 {
     return raw - before <= SMALL_STEP;
 }
 
-/* The time of frame `number` of the stream, in nanoseconds modulo 2^64. */
+/* Advance the clock to frame `number` of the stream; return its time in nanoseconds, modulo 2^64.
+ */
 CANSER_INLINE int64_t clock_advance(canser_clock *clock, uint32_t raw, uint64_t number,
                                     canser_stats *stats)
 {
