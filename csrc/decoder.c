@@ -1,7 +1,7 @@
 /* A stream of bytes, cut into pieces, and its end. */
 #include "protocol.h"
 
-/* What Python takes for granted of the record, and MSVC and others must keep. */
+/* Python relies on this layout, so every compiler must keep it. */
 _Static_assert(sizeof(canser_frame) == 24, "the record is 24 bytes");
 _Static_assert(offsetof(canser_frame, data) == 8, "data lies at 8");
 _Static_assert(offsetof(canser_frame, ts) == 16, "ts lies at 16");
@@ -40,8 +40,7 @@ int canser_decoder_init(canser_decoder *self, const canser_protocol *protocol, i
     return CANSER_OK;
 }
 
-/* Everything that can be wrong with a batch and the input it is to be filled
- * from. Sets the counts to zero. */
+/* Check a batch and its input, and set the counts to zero. Returns a status. */
 static int check_batch(canser_batch *batch, const uint8_t *data, size_t data_len)
 {
     if (!batch)
@@ -70,9 +69,9 @@ static int check_batch(canser_batch *batch, const uint8_t *data, size_t data_len
     return CANSER_OK;
 }
 
-/* Scan the held bytes, with `data` behind them, in a copy that has room for a
- * window behind each: all that is undecided starts there. Returns the bytes of
- * `data` inside the packets found; what is not decided is held again. */
+/* Scan the held bytes, with `data` behind them, in a copy with room for a window
+ * behind each of them. Returns the bytes of `data` inside the packets found; bytes that
+ * are not decided are held again. */
 static size_t scan_carry(canser_decoder *self, const uint8_t *data, size_t data_len,
                          canser_batch *batch, uint64_t base, scan_mode mode)
 {
@@ -89,9 +88,9 @@ static size_t scan_carry(canser_decoder *self, const uint8_t *data, size_t data_
         self->carry_len = 0;
         return at.pos - held;
     }
-    /* Bytes are wanting only where fewer than a longest packet are there, so
-     * all of `data` is in the bridge and can be held. At a full array only what
-     * was held before stays so. */
+    /* A scan lacks bytes only if there are fewer than a longest packet: then all of `data` is
+     * in the bridge, and can be held. At a full array only the bytes that were held before
+     * stay held. */
     const size_t end = at.wants_more ? held + taken : held;
     self->carry_len = (uint8_t)(end - at.pos);
     memcpy(self->carry, bridge + at.pos, self->carry_len);
