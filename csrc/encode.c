@@ -1,4 +1,4 @@
-/* The way back: frames to bytes, and why a format cannot carry one. */
+/* Encoding: frames to bytes, and the reasons why a format cannot carry a frame. */
 #include "protocol.h"
 
 const char *canser_refusal_text(int refusal)
@@ -46,7 +46,7 @@ int canser_encode(const canser_protocol *protocol, int64_t tick_ns, const canser
 
     if (frame_count && out_cap)
         protocol->codec->encode(frames, frame_count, tick_ns, out, out_cap, result);
-    /* Too near the end of `out` for wide stores: one by one through a window. */
+    /* Too near the end of `out` for wide stores: each frame goes through a window. */
     while (!result->refusal && result->frame_count < frame_count) {
         uint8_t window[SCAN_WINDOW];
         canser_encoded one;
