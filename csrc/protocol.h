@@ -1,5 +1,5 @@
-/* Private: the functions behind a row of the list of protocols, and what every
- * wire format needs: loads and stores in a fixed byte order, payload masks. */
+/* Private: the functions behind a row of the list of protocols, and helpers of all
+ * wire formats: loads and stores in a fixed byte order, payload masks. */
 #ifndef CANSER_PROTOCOL_H
 #define CANSER_PROTOCOL_H
 
@@ -20,11 +20,10 @@ CANSER_PROTOCOLS(CANSER_DECLARE)
 #define CANSER_LIKELY(x)         __builtin_expect(!!(x), 1)
 #define CANSER_PREFETCH_READ(p)  __builtin_prefetch((p), 0)
 #define CANSER_PREFETCH_WRITE(p) __builtin_prefetch((p), 1)
-/* The value as it is, of which the compiler knows nothing: a sum stays in the
- * order in which it is written. */
+/* Hides a value from the compiler, which keeps a sum in the order in which it is
+ * written. */
 #define CANSER_OPAQUE(x) __asm__("" : "+r"(x))
-/* One step of all threads, a barrier for what lies around it: whether `*p`, of 32 bits, was `from`
- * and now is `to`. */
+/* Atomic, and a full barrier: if `*p`, of 32 bits, is `from`, set it to `to` and return true. */
 #define CANSER_COMPARE_EXCHANGE(p, from, to) __sync_bool_compare_and_swap((p), (from), (to))
 #elif defined(_MSC_VER)
 #include <intrin.h>
@@ -56,24 +55,24 @@ CANSER_PROTOCOLS(CANSER_DECLARE)
 /* Limits of CAN 2.0 (ISO 11898-1). */
 enum { DLC_MAX = 8, ID_STD_MAX = 0x7FF, ID_EXT_MAX = 0x1FFFFFFF };
 
-/* How a scan treats the end of its input. */
+/* The treatment of the end of the input. */
 typedef enum {
-    SCAN_BODY, /* at every position a whole window is there */
-    SCAN_EDGE, /* what lacks bytes waits for them */
-    SCAN_END   /* what lacks bytes is a reject: the stream has ended */
+    SCAN_BODY, /* every position has a whole window behind it */
+    SCAN_EDGE, /* a candidate that lacks bytes waits for them */
+    SCAN_END   /* a candidate that lacks bytes is a reject: the stream has ended */
 } scan_mode;
 
-/* Where a scan stopped: at its end, at a full array, or for want of bytes. */
+/* The place at which a scan stopped: its end, a full array, or a lack of bytes. */
 typedef struct {
     size_t pos;
     bool wants_more;
 } scan_stop;
 
-/* The bytes that may be read behind any candidate, whether they belong to the
- * stream or are padding. */
+/* The number of bytes that may be read behind any candidate: bytes of the stream, or
+ * padding. */
 enum { SCAN_WINDOW = CANSER_BEHIND };
 
-/* What a probe says of one position. */
+/* The result of a probe at one position. */
 typedef enum { PROBE_FRAME, PROBE_CONTROL, PROBE_MORE, PROBE_REJECT } probe_kind;
 
 typedef struct {
@@ -101,7 +100,7 @@ CANSER_INLINE probe_result probe_reject(size_t reason)
     return (probe_result){PROBE_REJECT, reason};
 }
 
-/* What a wire format does for the decoder. */
+/* The functions of a wire format. */
 struct canser_codec {
     /* Take the packets that start in data[pos..stop); `len` bytes are the
      * stream's, and SCAN_WINDOW bytes are readable behind each position before
@@ -113,13 +112,13 @@ struct canser_codec {
      * SCAN_WINDOW bytes are left in `out`. */
     void (*encode)(const canser_frame *frames, size_t frame_count, int64_t tick_ns, uint8_t *out,
                    size_t out_cap, canser_encoded *result);
-    /* Tell why the format cannot carry a frame: CANSER_REFUSAL_*, NONE where it can. */
+    /* Return why the format cannot carry a frame: CANSER_REFUSAL_*, NONE if it can. */
     int (*refuse)(const canser_frame *frame);
     /* Write the configuration packet: all values are in range, and the bit rate is
-     * bitrates[rate]. NULL where the row has no bit rates. */
+     * bitrates[rate]. NULL if the row has no bit rates. */
     void (*configure)(const canser_config *config, size_t rate, canser_packet *packet);
-    /* Tell what one whole control packet means, in a report that is all zero. NULL
-     * where the format has none. */
+    /* Find the meaning of one whole control packet, in a report that is all zero before. NULL
+     * if the format has no control packets. */
     void (*explain)(const uint8_t *packet, canser_report *report);
 };
 
@@ -128,7 +127,7 @@ CANSER_INLINE bool misaligned(const void *p, size_t alignment)
     return (uintptr_t)p % alignment != 0;
 }
 
-/* A range of memory, to see whether two of them meet. */
+/* A range of memory, for the check whether two of them overlap. */
 typedef struct {
     uintptr_t begin, end;
 } span;
@@ -178,8 +177,8 @@ CANSER_INLINE uint64_t load_word(const uint8_t *p)
     return word;
 }
 
-/* A record but its time as two words of eight bytes: a store for each field costs
- * more than the payload. */
+/* Store a record without its time as two words of eight bytes: a store for each field
+ * takes longer than the payload. */
 CANSER_INLINE void store_words(canser_frame *frame, uint64_t head, uint64_t payload)
 {
     memcpy(frame, &head, sizeof head);
@@ -193,8 +192,8 @@ CANSER_INLINE void store_words(canser_frame *frame, uint64_t head, uint64_t payl
 #define FIRST_BYTES(count) (~(UINT64_MAX << 4 * (count) << 4 * (count)))
 #endif
 
-/* The first `dlc` of eight bytes, the rest zero. A table and one wide load:
- * memcpy of a variable length is ten times slower. */
+/* Load the first `dlc` of eight bytes, the rest zero, by a table and one wide load: a
+ * memcpy of variable length is ten times slower. */
 CANSER_INLINE uint64_t load_payload(const uint8_t *p, size_t dlc)
 {
     static const uint64_t keep[DLC_MAX + 1] = {
@@ -204,7 +203,7 @@ CANSER_INLINE uint64_t load_payload(const uint8_t *p, size_t dlc)
     return load_word(p) & keep[dlc];
 }
 
-/* id, ext, rtr, err and dlc as they lie in a record, one word. */
+/* id, ext, rtr, err and dlc as one word, in the order of the record. */
 #if CANSER_BIG_ENDIAN
 #define FRAME_HEAD(id, ext, rtr, err, dlc)                                                         \
     ((uint64_t)(id) << 32 | (uint64_t)(ext) << 24 | (uint64_t)(rtr) << 16 | (uint64_t)(dlc) << 8 | \
@@ -215,7 +214,7 @@ CANSER_INLINE uint64_t load_payload(const uint8_t *p, size_t dlc)
      (uint64_t)(err) << 56)
 #endif
 
-/* All fields of a record but its time. */
+/* Store all fields of a record but its time. */
 CANSER_INLINE void store_frame(canser_frame *frame, uint32_t id, unsigned ext, unsigned rtr,
                                unsigned err, size_t dlc, const uint8_t *payload)
 {
@@ -223,8 +222,8 @@ CANSER_INLINE void store_frame(canser_frame *frame, uint32_t id, unsigned ext, u
                 load_payload(payload, dlc & ((size_t)rtr - 1)));
 }
 
-/* Whether the format cannot carry a frame: a dlc over 8, an id over the limit of
- * its kind, a kind it does not have. */
+/* Return why the format cannot carry a frame: a dlc over 8, an id over the limit of its
+ * kind, or a kind that it does not have. */
 CANSER_INLINE int refuse_frame(const canser_frame *frame, bool has_ext, bool has_err)
 {
     const bool ext = frame->ext != 0;
@@ -240,7 +239,7 @@ CANSER_INLINE int refuse_frame(const canser_frame *frame, bool has_ext, bool has
     return CANSER_REFUSAL_NONE;
 }
 
-/* A data frame that may be sent, taken apart. */
+/* The parts of a data frame that may be sent. */
 typedef struct {
     uint32_t id;
     uint32_t ext; /* 0 or 1 */
@@ -250,10 +249,10 @@ typedef struct {
 
 enum { PLAIN_KINDS = 2 * 16 };
 
-/* Whether a frame is a data frame that may be sent. Its kind picks the bits that no head
- * of this kind has, so that one test tells all: a test for each rule takes a third of the
- * time, and a branch on ext is mispredicted on mixed traffic. An ext or a dlc too large
- * picks any kind; their upper bits are among the bits of each. */
+/* Whether a frame is a data frame that may be sent; if so, its parts. Its kind selects the bits
+ * that no head of this kind has, so that one test is enough: a test for each rule would take
+ * a third of the time, and a branch on ext is mispredicted on mixed traffic. An ext or a dlc
+ * that is too large selects any kind: their upper bits are among the bits of each. */
 CANSER_INLINE bool take_apart(const canser_frame *frame, bool has_ext, plain_frame *plain)
 {
 #define OVER(id_max, ext_over) FRAME_HEAD(~(uint32_t)(id_max), ext_over, 0xFF, 0xFF, 0xF0)
