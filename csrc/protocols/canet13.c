@@ -26,7 +26,7 @@ enum { BIT_EXT = 7, BIT_RTR = 6, INFO_ZERO = 0x30, INFO_DLC = 0x0F, INFO_NOT_EXT
 /* The bits that no id has, by ext. */
 static const uint32_t id_over[] = {~(uint32_t)ID_STD_MAX, ~(uint32_t)ID_EXT_MAX};
 
-/* Compilers know this for one instruction. */
+/* Compilers make one instruction of this. */
 CANSER_INLINE uint32_t swapped(uint32_t id)
 {
     return id << 24 | (id << 8 & 0xFF0000) | (id >> 8 & 0xFF00) | id >> 24;
@@ -61,7 +61,8 @@ CANSER_INLINE bool begin_plain(const uint8_t *p, size_t *lead)
     return true;
 }
 
-/* No remote frame: with its flag, as with those that must be 0, the dlc, too, is over 8. */
+/* Not for remote frames: with their flag, as with the bits that must be 0, the value tested as dlc
+ * is over 8. */
 CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *frame, uint32_t *raw)
 {
     const uint8_t *const begin = *p;
