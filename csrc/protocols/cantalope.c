@@ -58,7 +58,7 @@ CANSER_INLINE bool begin_plain(const uint8_t *p, size_t *lead)
     return true;
 }
 
-/* No remote frame: with its flag the dlc, too, is over 8. */
+/* Not for remote frames: with their flag, the value tested as dlc is over 8. */
 CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *frame, uint32_t *raw)
 {
     const uint8_t *const begin = *p, *ahead = begin + HEADER + LEAD;
@@ -67,7 +67,7 @@ CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *fr
     (void)raw;
     if (!CANSER_LIKELY(dlc <= DLC_MAX))
         return false;
-    CANSER_OPAQUE(ahead); /* the next frame waits for a mask and a load: the load adds */
+    CANSER_OPAQUE(ahead); /* so the next frame waits for a mask and a load only */
     *lead = ahead[dlc];
     CANSER_OPAQUE(ahead);
     *p = ahead + dlc - LEAD;
