@@ -54,7 +54,7 @@ enum {
 /* The end mark of a data frame is looked at before its dlc is known to be good. */
 _Static_assert(6 + TYPE_DLC + 1 <= SCAN_WINDOW, "the longest length a type byte can claim");
 
-/* What the last byte of a fixed packet must be. */
+/* Return the checksum of a fixed packet, its last byte. */
 CANSER_INLINE uint8_t fixed_sum(const uint8_t *p)
 {
     unsigned sum = 0;
@@ -80,8 +80,8 @@ CANSER_NOINLINE probe_result probe_fixed(const uint8_t *p, canser_frame *frame)
     return probe_frame(FIXED_LEN);
 }
 
-/* Everything but the start mark, byte by byte: what is no plain data frame, and
- * why nothing starts here. */
+/* Probe byte by byte behind the start mark: packets that are no plain data frames, and the reasons
+ * of rejects. */
 CANSER_NOINLINE probe_result probe_started(const uint8_t *p, size_t avail, canser_frame *frame)
 {
     if (avail < 2)
@@ -120,16 +120,16 @@ CANSER_INLINE probe_result probe(const uint8_t *p, size_t avail, canser_frame *f
     return p[0] == START ? probe_started(p, avail, frame) : probe_reject(CANSER_REJECT_MARKER);
 }
 
-/* What a type byte, less its mark, says of a data frame: one row in the place of a
- * test for each rule. Tests and shifts share two ports of the CPU, and with all of
- * them a frame takes longer than the memory; and a branch on the kind of
- * the id is mispredicted on mixed traffic. */
+/* The meaning of a type byte, without its mark, for a data frame: one row instead of a test for
+ * each rule. Tests and shifts share two ports of the CPU: with all of them a frame would take
+ * longer than the access to memory. And a branch on the kind of the id is mispredicted on mixed
+ * traffic. */
 typedef struct {
-    uint64_t flags;   /* ext and dlc, where the record has them */
-    uint64_t payload; /* the bytes of the payload */
-    uint32_t id;      /* the bytes of the id */
+    uint64_t flags;   /* ext and dlc, at their places in the record */
+    uint64_t payload; /* mask of the payload's bytes */
+    uint32_t id;      /* mask of the id's bytes */
     uint32_t id_over; /* bits that no id has */
-    uint32_t end;     /* the end mark, and where no data frame has this type no byte */
+    uint32_t end;     /* the end mark; a value that no byte has if no data frame has this type */
 } data_kind;
 
 #define KIND(dlc, ext, id, id_max)                                                                 \
@@ -161,7 +161,7 @@ CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *fr
     const uint8_t *const begin = *p;
     const size_t type = *lead;
     const size_t kind_at = type ^ TYPE_MARK;
-    const size_t nibble = type >> 4; /* the mark, and 2, the bytes that an extended id has more */
+    const size_t nibble = type >> 4; /* the mark, and 2 for the two more bytes of an extended id */
 
     (void)raw;
     if (!CANSER_LIKELY(kind_at < sizeof data_kinds / sizeof *data_kinds) ||
@@ -170,7 +170,7 @@ CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *fr
     const data_kind *const kind = &data_kinds[kind_at];
     const uint32_t id = load_le32(begin + 2);
     const uint64_t payload = load_word(begin + (nibble - (MARK_NIBBLE - 4)));
-    /* The next frame waits for a mask, a sum and a load: the load adds the rest. */
+    /* So the next frame waits for a mask, a sum and a load only. */
     const uint8_t *ahead =
         (const uint8_t *)((uintptr_t)begin - (MARK_NIBBLE - 5 - LEAD) + (type & TYPE_DLC));
     CANSER_OPAQUE(ahead);
@@ -185,15 +185,15 @@ CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *fr
     return true;
 }
 
-/* `lead`: the start mark and the type, in one store: with one for each a frame takes a
- * tenth longer. */
+/* `lead` is the start mark and the type, in one store: with two stores a frame takes a tenth
+ * longer. */
 CANSER_INLINE uint8_t *emit_fields(const uint8_t *lead, uint32_t id, size_t ext, size_t dlc,
                                    const uint8_t *payload, uint8_t *out)
 {
     memcpy(out, lead, 2);
-    store_le32(out + 2, id); /* of a standard id two bytes are overwritten below */
+    store_le32(out + 2, id); /* the upper two bytes of a standard id are overwritten below */
     out += 2 * ext;
-    memcpy(out + 4, payload, DLC_MAX); /* the end mark comes over the surplus */
+    memcpy(out + 4, payload, DLC_MAX); /* the end mark overwrites the surplus */
     out += dlc;
     out[4] = END;
     return out + 5;
