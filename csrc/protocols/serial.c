@@ -23,10 +23,10 @@ enum { START = 0xAA, END = 0xBB, LEAD = 5, HEADER = 10 };
 /* The flags of the id, by their bits. */
 enum { BIT_EXT = 31, BIT_RTR = 30, BIT_ERR = 29 };
 
-/* Hardly any frame has one of these. */
+/* Flags that hardly any frame has. */
 #define FLAGS_RARE (UINT32_C(1) << BIT_RTR | UINT32_C(1) << BIT_ERR)
 
-/* From the id on. `flagged`, a constant in each call: the remote or the error
+/* Probe from the id on. `flagged`, a constant in each call, tells whether the remote or the error
  * flag is set. */
 CANSER_INLINE probe_result probe_rest(const uint8_t *p, size_t avail, canser_frame *frame,
                                       const bool flagged)
@@ -72,16 +72,16 @@ CANSER_INLINE bool begin_plain(const uint8_t *p, size_t *lead)
     return p[0] == START;
 }
 
-/* Neither remote nor error frame. Any id over 11 bits is extended: with the flag
- * of the extended id, too, it is over. The start mark was looked at with the end mark
- * of the frame before. */
+/* Not for remote and error frames. Any id over 11 bits is extended, and an id with the flag of
+ * extended ids is over 11 bits, too. The start mark was checked together with the end mark of the
+ * frame before. */
 CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *frame, uint32_t *raw)
 {
     const uint8_t *const begin = *p;
     const size_t dlc = begin[LEAD];
     const uint32_t id = load_le32(begin + 6);
 
-    (void)lead; /* one sum behind the load: the dlc is what the next frame waits for */
+    (void)lead; /* one sum behind the load: the next frame waits for the dlc */
     *p = begin + HEADER + 1;
     CANSER_OPAQUE(*p);
     *p += dlc;
@@ -89,14 +89,14 @@ CANSER_INLINE bool probe_plain(const uint8_t **p, size_t *lead, canser_frame *fr
         !CANSER_LIKELY(load_le16(begin + HEADER + dlc) == (END | START << 8)))
         return false;
     *raw = load_le32(begin + 1);
-    /* An id over 11 bits carries over into the next bit: fewer steps than a test. */
+    /* The sum carries into bit 32 for an id over 11 bits: fewer steps than a test. */
     const uint64_t ext = (id + (UINT64_C(1) << 32) - (ID_STD_MAX + 1)) >> 32;
     store_words(frame, FRAME_HEAD(id & ID_EXT_MAX, ext, 0, 0, dlc),
                 load_payload(begin + HEADER, dlc));
     return true;
 }
 
-/* A store for each field: shifts to join them cost more. */
+/* A store for each field, as shifts to join them take longer. */
 CANSER_INLINE uint8_t *emit_fields(uint32_t raw, size_t dlc, uint32_t id, const uint8_t *payload,
                                    size_t payload_len, uint8_t *out)
 {
@@ -104,7 +104,7 @@ CANSER_INLINE uint8_t *emit_fields(uint32_t raw, size_t dlc, uint32_t id, const 
     store_le32(out + 1, raw);
     out[5] = (uint8_t)dlc;
     store_le32(out + 6, id);
-    memcpy(out + HEADER, payload, DLC_MAX); /* the end mark comes over the surplus */
+    memcpy(out + HEADER, payload, DLC_MAX); /* the end mark overwrites the surplus */
     out += payload_len;
     out[HEADER] = END;
     return out + HEADER + 1;
