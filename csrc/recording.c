@@ -1,4 +1,4 @@
-/* The blocks of a recording that nothing is unusual about: checked, and their bytes gathered.
+/* Usual blocks of a recording: checks, and the bytes of the line gathered.
  *
  *     0  type 6, total length, interface, time high, time low,     7 words of 32 bits,
  *        captured length, original length                          little endian
@@ -14,7 +14,7 @@ enum {
     HEAD_LEN = 28,
     TAIL_LEN = 12 + 12 + 4 + 4,
     ENHANCED = 6,
-    LENGTH_MAX = 1 << 24, /* of a block: what readers put up with */
+    LENGTH_MAX = 1 << 24, /* of a block: the limit of other readers */
     HASH = 3 | 5 << 16,   /* code and length of an option */
     ID = 5 | 8 << 16,
     DROP_COUNT = 4 | 8 << 16,
@@ -45,14 +45,14 @@ int canser_recording_init(canser_recording *self)
     return CANSER_OK;
 }
 
-/* What the four bytes of a word add, with so many zeros behind them. */
+/* The CRC32 of the four bytes of a word with `zeros` zeros behind them. */
 CANSER_INLINE uint32_t crc32_word(const canser_recording *self, uint32_t word, int zeros)
 {
     return self->crc32s[zeros + 3][word & 0xFF] ^ self->crc32s[zeros + 2][word >> 8 & 0xFF] ^
            self->crc32s[zeros + 1][word >> 16 & 0xFF] ^ self->crc32s[zeros][word >> 24];
 }
 
-/* Go on with a CRC32 by tables, 16 bytes at a time. */
+/* Continue a CRC32 by tables, 16 bytes at a time. */
 static uint32_t crc32_tables(const canser_recording *self, uint32_t crc, const uint8_t *p,
                              size_t len)
 {
@@ -68,17 +68,17 @@ static uint32_t crc32_tables(const canser_recording *self, uint32_t crc, const u
 
 /* Many bytes are first folded into the last FOLD_LEN of them, without tables.
  *
- * The polynomial divides x^300 + x^155 + x^117 + x^89 + 1, modulo 2; no multiple of fewer terms is
- * shorter than 3000 bits, and of five terms none shorter than this one. Squaring modulo 2 doubles
- * each exponent, so the same holds of bytes: a byte leaves the same remainder as four copies of
- * it, 145, 183, 211 and 300 bytes behind. So each is added there and is done with. As the next
- * copy is 145 bytes away compilers do this many bytes at a time. */
+ * The polynomial divides x^300 + x^155 + x^117 + x^89 + 1, modulo 2. No multiple of fewer terms is
+ * shorter than 3000 bits, and none of five terms is shorter than this one. Squaring modulo 2
+ * doubles each exponent, so the same holds for bytes: a byte leaves the same remainder as four
+ * copies of it, 145, 183, 211 and 300 bytes behind. So each byte is added at these places, and is
+ * then done. As the nearest copy is 145 bytes away, compilers handle many bytes at a time. */
 enum { FOLD_1 = 300 - 155, FOLD_2 = 300 - 117, FOLD_3 = 300 - 89, FOLD_LEN = 300 };
 
-/* Bytes that are folded at a time: they stay in the nearest cache. */
+/* Bytes that are folded at a time: they fit into the nearest cache. */
 enum { FOLD_STEP = 4096 };
 
-/* With fewer bytes than this the end takes longer than it saves. */
+/* The fewest bytes that are folded. With fewer, the end takes longer than the folding saves. */
 enum { FOLD_MIN = 800 };
 
 static uint32_t crc32_folded(const canser_recording *self, uint32_t crc, const uint8_t *p,
@@ -89,7 +89,7 @@ static uint32_t crc32_folded(const canser_recording *self, uint32_t crc, const u
     const uint8_t *const end = p + len - FOLD_LEN;
     size_t i;
 
-    memset(folded, 0, FOLD_LEN); /* before the first byte there are none */
+    memset(folded, 0, FOLD_LEN); /* there are no bytes before the first one */
     for (i = 0; i < 4; i++)
         now[i] = (uint8_t)(p[i] ^ crc >> 8 * i);
     while (p < end) {
@@ -125,7 +125,7 @@ CANSER_INLINE uint64_t load_le64(const uint8_t *p)
     return load_le32(p) | (uint64_t)load_le32(p + 4) << 32;
 }
 
-/* The length of a block that nothing is unusual about, and of its bytes; 0 if something is. */
+/* Return the length of a usual block, and set that of its bytes; 0 if it is unusual. */
 static size_t check_block(const canser_recording *self, uint64_t id, const uint8_t *p,
                           size_t readable, size_t *len)
 {
