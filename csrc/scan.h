@@ -11,17 +11,17 @@
  *   START_MARK  the byte with which every packet starts; not defined where there is none
  *   probe()     what starts at `p`, of which `avail` bytes are the stream's and
  *               SCAN_WINDOW may be read. Checks the bytes in the order in which
- *               they arrive, so that a reject and its reason never depend on
- *               how many bytes are there. Writes `frame` (all but ts) and `raw`
+ *               they arrive, so that a reject and its reason do not depend on
+ *               `avail`. Writes `frame` (all but ts) and `raw`
  *               (the device timestamp) only where it finds a frame.
- *   emit()      one frame to the wire; returns the place behind it, never over
- *               SCAN_WINDOW bytes on, and may write so many. `raw` is the device
- *               timestamp to send.
- *   HAS_PLAIN   1 if it has fast forms for the frames that a bus is full of, else 0:
- *   probe_plain()  as probe(), where a whole window is there: true, with `p` behind the
- *               frame, or false if probe() must tell. `lead` is the byte that tells the
- *               length of the frame at `p`: loaded one frame ahead, as all waits for it.
- *               May write what it is given at any time.
+ *   emit()      writes one frame; returns the place behind it. It may write up to
+ *               SCAN_WINDOW bytes, and uses no more. `raw` is the device timestamp
+ *               to send.
+ *   HAS_PLAIN   1 if it has fast forms for plain frames, which are most of a bus, else 0:
+ *   probe_plain()  as probe(), with a whole window at `p`: true, with `p` behind the
+ *               frame, or false if probe() must decide. `lead` is the byte that tells the
+ *               length of the frame at `p`. It is loaded one frame ahead, as everything
+ *               else waits for it. May write to `frame` and `raw` in any case.
  *   begin_plain()  the first `lead`; false if no plain frame starts at `p`
  *   emit_plain()   as emit(), for a frame that take_apart() let pass.
  */
@@ -33,16 +33,16 @@ _Static_assert(FRAME_MIN > 0 && FRAME_MIN <= FRAME_MAX && FRAME_MAX <= PACKET_MA
 _Static_assert(PACKET_MAX == sizeof((union canser_longest *)0)->NAME,
                "the list of protocols in canser.h says how long packets are");
 
-/* How far ahead of the scan the caches are asked, in bytes and in records: a few
- * times what passes during one access to memory. */
+/* Distance of prefetches ahead of the scan, in bytes of input and in records of output:
+ * a few times what is scanned during one access to memory. */
 enum { PREFETCH_IN = 1024, PREFETCH_OUT = 128 };
 
 #ifdef START_MARK
 
-/* Start marks that are nearer to each other than this are found sooner byte by byte. */
+/* The least distance in bytes at which memchr finds the next start mark sooner than a loop. */
 enum { SEARCH_MIN = 16 };
 
-/* Over bytes that start nothing. */
+/* Skip bytes at which no packet starts. */
 CANSER_INLINE const uint8_t *skip_to_mark(canser_stats *stats, const uint8_t *p,
                                           const uint8_t *stop)
 {
@@ -61,8 +61,8 @@ CANSER_INLINE const uint8_t *skip_to_mark(canser_stats *stats, const uint8_t *p,
 
 #endif
 
-/* From a reject at `p`, for `reason`, to the next position where something else
- * is found, or the end of the scan. */
+/* Go on from a reject at `p`, for `reason`, to the next position with another result,
+ * or to the end of the scan. */
 CANSER_NOINLINE const uint8_t *resync(canser_decoder *self, const uint8_t *p, const uint8_t *stop,
                                       const uint8_t *end, uint64_t offset, size_t reason,
                                       const scan_mode mode)
@@ -120,15 +120,15 @@ CANSER_COLD bool take_control(canser_decoder *self, const uint8_t *p, size_t len
 
 #if HAS_PLAIN
 
-/* Where a run of plain frames stopped. */
+/* The place at which a run of plain frames stopped. */
 typedef struct {
     const uint8_t *p;
     canser_frame *frame;
 } plain_stop;
 
-/* Plain frames from `p` on, until one is no plain frame, or the clock does more than
- * a small step, or `until` is reached. `shift`: what makes an address the stream
- * offset of its byte. */
+/* Take plain frames from `p` on. Stops at a frame that is not plain, at a step of the clock
+ * that is not small, and at `until`. `shift` added to an address gives the stream offset
+ * of its byte. */
 CANSER_INLINE plain_stop plain_loop(const uint8_t *p, canser_frame *frame,
                                     canser_frame *const until, canser_clock *clock,
                                     int64_t *offsets, int64_t *ends, const uint64_t shift)
@@ -167,8 +167,8 @@ CANSER_INLINE plain_stop plain_loop(const uint8_t *p, canser_frame *frame,
     return (plain_stop){p, frame};
 }
 
-/* Functions of their own, so that here, where a decoder spends its time, no
- * register and no jump is lost to what is rare, or to offsets that are not wanted. */
+/* Separate functions: a decoder spends its time here, and rare cases, or offsets that are not
+ * wanted, would cost registers and jumps. */
 CANSER_NOINLINE plain_stop take_plain(const uint8_t *p, canser_frame *frame, canser_frame *until,
                                       canser_clock *clock)
 {
@@ -196,8 +196,8 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
                                   size_t stop_pos, size_t len, uint64_t base, canser_batch *batch,
                                   const scan_mode mode)
 {
-    /* What each frame needs is in locals: a store through a byte pointer might
-     * change any field in memory, and the compiler would load it again. */
+    /* Locals: a store through a byte pointer might change any field in memory, so the
+     * compiler would load fields again for each frame. */
     const uint8_t *p = data + pos;
     const uint8_t *const stop = data + stop_pos;
     const uint8_t *const end = data + len;
@@ -213,7 +213,7 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
     bool wants_more = false;
 
     while (p < stop && frame < frames_end) {
-        /* So many frames surely fit: among them nothing asks for the end. */
+        /* This many frames fit in any case, so the loop over them does not test for the end. */
         const size_t room = (size_t)(frames_end - frame);
         const size_t sure = mode == SCAN_BODY ? (size_t)(stop - p - 1) / FRAME_MAX + 1 : 1;
         canser_frame *const until = frame + (sure < room ? sure : room);
@@ -277,8 +277,8 @@ CANSER_INLINE scan_stop scan_loop(canser_decoder *self, const uint8_t *data, siz
 static scan_stop scan(canser_decoder *self, const uint8_t *data, size_t pos, size_t stop,
                       size_t len, uint64_t base, canser_batch *batch, scan_mode mode)
 {
-    /* A constant mode in each call: where whole windows are there, the checks
-     * for missing bytes fold away. */
+    /* The mode is a constant in each call: for SCAN_BODY the compiler removes the checks
+     * for missing bytes. */
     if (mode == SCAN_BODY)
         return scan_loop(self, data, pos, stop, len, base, batch, SCAN_BODY);
     if (mode == SCAN_EDGE)
@@ -286,8 +286,8 @@ static scan_stop scan(canser_decoder *self, const uint8_t *data, size_t pos, siz
     return scan_loop(self, data, pos, stop, len, base, batch, SCAN_END);
 }
 
-/* A time in ticks, rounded down; C rounds to zero. The common units are constants: a
- * division by one is a multiplication. */
+/* Return a time in ticks, rounded down; C's division rounds to zero. The common units are
+ * constants: a division by a constant is a multiplication. */
 CANSER_INLINE uint32_t count_ticks(int64_t ts, int64_t tick_ns)
 {
     const int64_t ticks = tick_ns == 1000000 ? ts / 1000000
@@ -298,13 +298,13 @@ CANSER_INLINE uint32_t count_ticks(int64_t ts, int64_t tick_ns)
 
 #if HAS_PLAIN
 
-/* Where a run of plain frames to send stopped. */
+/* The place at which a run of plain frames to send stopped. */
 typedef struct {
     const canser_frame *frame;
     uint8_t *out;
 } emit_stop;
 
-/* Plain frames from `frame` on, until one is no plain frame, or `until` is reached. */
+/* Send plain frames from `frame` on. Stops at a frame that is not plain, and at `until`. */
 CANSER_INLINE emit_stop emit_loop(const canser_frame *frame, const canser_frame *const until,
                                   const int64_t tick_ns, uint8_t *out)
 {
@@ -316,7 +316,7 @@ CANSER_INLINE emit_stop emit_loop(const canser_frame *frame, const canser_frame 
         if (!CANSER_LIKELY(take_apart(frame, HAS_EXT, &plain)))
             break;
         if (HAS_CLOCK) {
-            /* A time before zero is rare, and no time is one of them. */
+            /* Times before zero are rare; CANSER_NO_TIME is one of them. */
             if (!CANSER_LIKELY(frame->ts >= 0))
                 break;
             ticks = (uint64_t)frame->ts / (uint64_t)tick_ns;
@@ -327,7 +327,7 @@ CANSER_INLINE emit_stop emit_loop(const canser_frame *frame, const canser_frame 
     return (emit_stop){frame, out};
 }
 
-/* A function of its own, as take_plain() is. The common units are constants here, too. */
+/* A separate function, as take_plain() is. The common units are constants here, too. */
 CANSER_NOINLINE emit_stop put_plain(const canser_frame *frame, const canser_frame *until,
                                     int64_t tick_ns, uint8_t *out)
 {
@@ -340,7 +340,7 @@ CANSER_NOINLINE emit_stop put_plain(const canser_frame *frame, const canser_fram
 
 #endif
 
-/* Why the format cannot carry a frame: CANSER_REFUSAL_*, NONE where it can. */
+/* Return why the format cannot carry a frame: CANSER_REFUSAL_*, NONE if it can. */
 static int refuse(const canser_frame *frame)
 {
     const int refusal = refuse_frame(frame, HAS_EXT, HAS_ERR);
@@ -358,7 +358,7 @@ static void encode(const canser_frame *frames, size_t frame_count, int64_t tick_
     int refusal = CANSER_REFUSAL_NONE;
 
     while (frame < end && out_end - out >= SCAN_WINDOW && !refusal) {
-        /* So many frames surely fit: among them nothing asks for the room. */
+        /* This many frames fit in any case, so the loop over them does not test for room. */
         const size_t room = (size_t)(out_end - out - SCAN_WINDOW) / FRAME_MAX + 1;
         const size_t left = (size_t)(end - frame);
         const canser_frame *const until = frame + (left < room ? left : room);
