@@ -1,11 +1,11 @@
-/* Small calls: what else a binding does around each of them is done here at once. */
+/* Small calls, for bindings: checks, decoding and the result in one call. */
 #include "protocol.h"
 
 #ifndef CANSER_COMPARE_EXCHANGE
 #error "protocol.h does not know how this compiler compares and exchanges in one step"
 #endif
 
-/* Who works on a stream. */
+/* The users of a stream: none, a small call, a caller of canser_stream_take(). */
 enum { FREE, FED, TAKEN };
 
 int canser_stream_take(canser_stream *self)
@@ -19,7 +19,7 @@ void canser_stream_release(canser_stream *self)
         (void)CANSER_COMPARE_EXCHANGE(&self->taken, TAKEN, FREE);
 }
 
-/* What a call returns that has found `count` frames, and `rest` of something rare. */
+/* The result of a call that found `count` frames; `rest` is mostly 0. */
 static int64_t pack(size_t count, uint64_t rest)
 {
     return (int64_t)(count | rest << 32);
@@ -33,7 +33,7 @@ static int64_t feed(canser_stream *self, const uint8_t *data, size_t data_len, c
     if (canser_decoder_feed(&self->decoder, data, data_len, batch, &used))
         return -1;
     if (used < data_len && batch->frame_count < batch->frame_cap) {
-        self->decoder = before; /* for want of room for a control packet */
+        self->decoder = before; /* there was no room for a control packet */
         return -1;
     }
     return pack(batch->frame_count, data_len - used);
