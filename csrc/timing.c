@@ -1,12 +1,12 @@
-/* Times of frames: when their bytes had come, and what a device's clock makes of it.
+/* Times of frames, from the arrivals of their bytes and from a device's clock.
  *
- * What is done for each frame, in one pass, and nothing else: what the clock stands at is
- * estimated by the caller. Differences of times are taken modulo 2^64, as device times out of
- * noise may be anything.
+ * This is the work for each frame, in one pass. The caller estimates the device's clock.
+ * Differences of times are taken modulo 2^64, as device times out of noise may have any value.
  */
 #include "clock.h"
 
-/* No true frame of a piece is less late than the others by more: bytes queue for no longer. */
+/* The most by which a true frame of a piece is less late than the others: bytes queue for a minute
+ * at most. */
 static const int64_t LATE_MOST_NS = INT64_C(60000000000);
 
 CANSER_INLINE int64_t add(int64_t a, int64_t b)
@@ -19,31 +19,31 @@ CANSER_INLINE int64_t subtract(int64_t a, int64_t b)
     return (int64_t)((uint64_t)a - (uint64_t)b);
 }
 
-/* The coarsest unit of which a time of a decoder is that of the right turn but for a shift: up to
- * milliseconds no clock turns so often that the time wraps. */
+/* The coarsest unit for which a decoder's time differs from the true one by a shift only: up to
+ * milliseconds no clock turns so often that the 64 bits of the time wrap. */
 static const int64_t SHIFT_TICK_MAX = 1000000;
 
-/* Bytes that came together, and how they are dated. */
+/* Bytes that came together, and the values that date them. */
 typedef struct {
-    int64_t last;   /* the offset of the last one */
-    int64_t ns;     /* when it had come, */
-    int64_t before; /* and the last one of the piece before */
-    double byte_ns; /* what each takes on the line */
+    int64_t last;   /* offset of the last byte */
+    int64_t ns;     /* arrival of that byte */
+    int64_t before; /* arrival of the piece before */
+    double byte_ns; /* time of a byte on the line */
 } dated_piece;
 
-/* When the byte at `at` had come. */
+/* Return the arrival of the byte at offset `at`. */
 CANSER_INLINE int64_t arrival_of(const dated_piece *piece, int64_t at)
 {
-    /* 32 bits, so that no product is beyond an int64_t, for offsets of no use, too. */
+    /* 32 bits, so that the product fits an int64_t even for invalid offsets. */
     const uint32_t behind = (uint32_t)subtract(piece->last, at);
     const int64_t arrival = subtract(piece->ns, (int64_t)((double)behind * piece->byte_ns));
     return arrival > piece->before ? arrival : piece->before;
 }
 
-/* The first of some frames, at ascending offsets, that is not in a piece. */
+/* Return the first frame, at ascending offsets, that lies behind a piece. */
 CANSER_INLINE size_t find_border(const int64_t *at, size_t first, size_t count, int64_t last)
 {
-    /* Mostly all are, or a few. */
+    /* Mostly all frames are in the piece, or only a few. */
     if (at[count - 1] <= last)
         return count;
     while (at[first] <= last)
@@ -51,15 +51,15 @@ CANSER_INLINE size_t find_border(const int64_t *at, size_t first, size_t count, 
     return first;
 }
 
-/* The host's time when the device's clock stood at `device`. */
+/* Return the host's time by the line for a time of the device. */
 CANSER_INLINE int64_t line_at(const canser_line *line, int64_t device)
 {
     const int64_t run = subtract(device, line->device);
     return add(add(run, (int64_t)((double)run * line->drift)), line->host);
 }
 
-/* What the counter said of which a decoder made a time, in nanoseconds: time = ticks * tick_ns
- * modulo 2^64, and the counter is ticks modulo 2^32. */
+/* Return the counter of which a decoder made a time, in nanoseconds: time = ticks * tick_ns modulo
+ * 2^64, and the counter is ticks modulo 2^32. */
 static int64_t counter_time(int64_t time, int64_t tick_ns)
 {
     /* A unit is an odd number shifted; an odd number has an inverse modulo 2^64. */
@@ -75,7 +75,8 @@ static int64_t counter_time(int64_t time, int64_t tick_ns)
     return (int64_t)((ticks * inverse & UINT32_MAX) * (uint64_t)tick_ns);
 }
 
-/* The time nearest to `expected` at which the counter says what it says at `time`. */
+/* Return the time nearest to `expected` at which the counter has the value that it has at `time`.
+ */
 static int64_t nearest_turn(int64_t time, int64_t expected, int64_t tick_ns)
 {
     const int64_t turn_ns = tick_ns << 32, apart = subtract(expected, time);
@@ -89,7 +90,7 @@ static int64_t nearest_turn(int64_t time, int64_t expected, int64_t tick_ns)
     return (int64_t)((uint64_t)time + (uint64_t)turns * (uint64_t)turn_ns);
 }
 
-/* How far a device time may lie from where those before it say, so that it is one of them. */
+/* The most by which a device time may differ from the one expected from those before it. */
 CANSER_INLINE int64_t near_ns(int64_t tick_ns)
 {
     return SMALL_STEP * tick_ns;
@@ -100,8 +101,8 @@ static bool is_near(int64_t delay, int64_t other, int64_t most)
     return (uint64_t)add(subtract(delay, other), most) <= 2 * (uint64_t)most;
 }
 
-/* The device's time of a frame that is not near those before it: one of another turn of the
- * counter, a false one, or one of a clock that was set. */
+/* Return the device's time of a frame that is not near those before it: a time of another turn of
+ * the counter, a false time, or a time of a clock that was set. */
 CANSER_COLD int64_t find_turn(canser_turns *turns, int64_t tick_ns, int64_t time, int64_t arrival)
 {
     const int64_t counter = counter_time(time, tick_ns), most = near_ns(tick_ns);
@@ -116,7 +117,7 @@ CANSER_COLD int64_t find_turn(canser_turns *turns, int64_t tick_ns, int64_t time
             turns->run && is_near(subtract(arrival, next), turns->last_delay, most);
 
         if (goes_on)
-            device = next; /* half a turn away either turn is as near */
+            device = next; /* at half a turn, both turns are equally near */
         turns->run = goes_on ? turns->run + 1 : 1;
         turns->last_delay = subtract(arrival, device);
         if (turns->run < IN_LINE)
@@ -128,7 +129,7 @@ CANSER_COLD int64_t find_turn(canser_turns *turns, int64_t tick_ns, int64_t time
     return device;
 }
 
-/* The first frame has the time that the counter says. */
+/* Start with the first frame: it keeps the value of its counter. */
 static void start_turns(canser_turns *turns, int64_t tick_ns, int64_t time, int64_t arrival)
 {
     const int64_t device = counter_time(time, tick_ns);
@@ -143,7 +144,8 @@ static int64_t delay_of(const canser_sample *frame)
     return subtract(frame->arrival, frame->device);
 }
 
-/* Put a frame among the least late ones of its piece; return what is later than all of them. */
+/* Insert a frame into the least late ones of its piece; return the delay above which a frame is
+ * none of them. */
 CANSER_NOINLINE int64_t add_least_late(canser_least_late *self, int64_t device, int64_t arrival)
 {
     const int64_t delay = subtract(arrival, device);
@@ -156,7 +158,7 @@ CANSER_NOINLINE int64_t add_least_late(canser_least_late *self, int64_t device, 
                                            : delay_of(&self->frames[CANSER_LEAST_LATE - 1]);
 }
 
-/* The sample of a piece of which all frames have come. */
+/* Return the sample of a piece of which all frames have come. */
 static canser_sample take_sample(canser_least_late *self, int64_t last)
 {
     const canser_sample *frame = self->frames;
@@ -168,11 +170,11 @@ static canser_sample take_sample(canser_least_late *self, int64_t last)
     return (canser_sample){frame->device, frame->arrival, subtract(last, frame->arrival)};
 }
 
-/* Which time a frame gets. */
+/* The time that a frame gets. */
 typedef enum { DEVICE_TIME, ARRIVAL_TIME, LINE_TIME } time_kind;
 
-/* Go on to the piece that the byte at `at` is in, the last one if it is in none; return it, and
- * how it is dated. `less`: 1; or 0 where offsets are those behind the bytes. */
+/* Go on to the piece that holds the byte at `at`, or the last one if none does. Return it, and set
+ * the values that date it. `less` is 1, or 0 if offsets are those behind the bytes. */
 CANSER_INLINE const canser_piece *find_piece(const canser_piece *pieces, const canser_piece *end,
                                              int64_t at, int64_t less, dated_piece *piece)
 {
@@ -180,7 +182,7 @@ CANSER_INLINE const canser_piece *find_piece(const canser_piece *pieces, const c
         piece->before = (pieces++)->ns;
     piece->ns = pieces->ns;
     piece->last = subtract(pieces->end, less);
-    if (piece->last < at) { /* with the last byte of all */
+    if (piece->last < at) { /* the last piece also dates all bytes behind it */
         piece->last = INT64_MAX;
         piece->byte_ns = 0;
     }
@@ -193,7 +195,7 @@ CANSER_INLINE void assign_piece(canser_timing *self, const dated_piece *piece, c
                                 const time_kind kind)
 {
     const int64_t most = near_ns(self->tick_ns), early = self->trust.early;
-    /* A time that is a few turns of a coarse unit off is one that has wrapped: it may be near, but
+    /* In a coarse unit, a time that is a few turns off has wrapped: it may be near, but lies
      * between two ticks. */
     const uint64_t near_span = self->tick_ns > SHIFT_TICK_MAX ? 0 : 2 * (uint64_t)most;
     const uint64_t late_span = (uint64_t)(self->trust.late + early);
@@ -244,7 +246,7 @@ CANSER_INLINE void assign_piece(canser_timing *self, const dated_piece *piece, c
     self->latest = kind == LINE_TIME ? latest : arrival;
 }
 
-/* Set the times of frames that have none of a device. */
+/* Set the times of frames without times of a device. */
 static void assign_arrivals(const canser_timing *self, const canser_piece *pieces,
                             const canser_piece *end, const int64_t *ends, canser_frame *frames,
                             size_t count, size_t *done)
@@ -260,7 +262,7 @@ static void assign_arrivals(const canser_timing *self, const canser_piece *piece
     *done = count;
 }
 
-/* Take the sample of the piece before; return whether the caller must look at them. */
+/* Take the sample of the piece before; return why the call must stop, 0 if it goes on. */
 static int add_sample(canser_timing *self)
 {
     if (self->sample_count == self->sample_cap)
@@ -275,7 +277,7 @@ static int add_sample(canser_timing *self)
                : CANSER_TIMING_DONE;
 }
 
-/* Set the times of frames that have one of a device. */
+/* Set the times of frames with times of a device. */
 static void assign_device(canser_timing *self, const canser_piece *pieces, const canser_piece *end,
                           const int64_t *begins, canser_frame *frames, size_t count, size_t *done)
 {
@@ -319,7 +321,7 @@ int canser_timing_assign(canser_timing *self, const canser_piece *pieces, size_t
         return CANSER_MISALIGNED;
     if (self->tick_ns < 0 || self->tick_ns > INT32_MAX)
         return CANSER_TICK;
-    /* A drift so that (int64_t) of any int64_t times it is defined. */
+    /* With this drift, the product with any int64_t fits an int64_t. */
     if (!(self->byte_ns >= 0 && self->byte_ns <= CANSER_BYTE_NS_MAX) ||
         !(self->line.drift > -1 && self->line.drift < 1) || self->trust.early < 0 ||
         self->trust.late < 0)
