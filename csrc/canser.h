@@ -55,6 +55,12 @@ union canser_longest {
 /* Room for a packet. It makes canser_control a multiple of 8 bytes without padding. */
 #define CANSER_CONTROL_ROOM (CANSER_PACKET_MAX / 8 * 8 + 7)
 
+/* The formats of text. A new format is one C file in text/, which defines `canser_text_NAME`, and
+ * one row here. */
+#ifndef CANSER_TEXTS
+#define CANSER_TEXTS(ROW) ROW(asc) ROW(candump) ROW(csv) ROW(gvret) ROW(trc)
+#endif
+
 /* Python binds the declarations between the two cffi lines. */
 /* cffi: begin */
 
@@ -584,6 +590,101 @@ int64_t canser_stream_feed(canser_stream *self, const uint8_t *data, size_t data
  */
 int64_t canser_decode_small(const canser_protocol *protocol, int64_t tick_ns, const uint8_t *data,
                             size_t data_len, canser_frame *frames, size_t frame_cap);
+
+/* ---- For log files of other programs: lines of text as frames, and frames as lines. */
+
+/* The channel of a frame for which none is told. */
+#define CANSER_NO_CHANNEL 255
+
+/* The names of channels that a file may have, and the longest one in bytes. */
+#define CANSER_NAMES_MAX    16
+#define CANSER_NAME_LEN_MAX 15
+
+/* The direction of a frame, as the program saw it that wrote the file. */
+enum { CANSER_RECEIVED = 0, CANSER_SENT = 1 };
+
+/* A format of text. Constant. */
+typedef struct {
+    const char *name;
+    const struct canser_text_codec *codec; /* private */
+} canser_text_format;
+
+/* The name of a channel, such as "can0". The caller sets the fields by canser_text_add_name(). */
+typedef struct {
+    uint64_t text[2]; /* the name and a blank, zero past it */
+    uint64_t mask[2]; /* all ones for each of these bytes */
+    uint8_t len;      /* of the name */
+    uint8_t channel;
+} canser_channel_name;
+
+/* The state of one file that is read or written. The caller zeroes it, and sets `format`, and the
+ * fields that are of use for the format. */
+typedef struct {
+    const canser_text_format *format;
+    char columns[16];    /* trc, gvret: letters of the columns, zero behind them */
+    int64_t start_ns;    /* written, asc and trc: the time from which times count */
+    int64_t last_ns;     /* read, asc: the time of the last line, with is_relative */
+    uint8_t is_relative; /* read, asc: 1: times count from the line before */
+    uint8_t is_decimal;  /* read, asc: 1: ids and bytes are decimal numbers */
+    uint8_t is_dated;    /* written, candump: 1: times are dates, in UTC */
+    uint8_t name_count;  /* of `names`, which canser_text_add_name() adds */
+    canser_channel_name names[CANSER_NAMES_MAX]; /* candump: names of channels */
+    uint64_t fd_count;                           /* read: lines of CAN FD, left out */
+    uint64_t cut_times;     /* written: times that lost places which the format does not have */
+    uint64_t unknown_times; /* written: frames without a time */
+    uint64_t error_frames;  /* written, asc and trc: error frames, whose id and data are lost */
+    /* Private. */
+    uint64_t number; /* trc: of the last line */
+    uint64_t second; /* of the last line */
+    uint8_t second_text[24];
+    uint8_t second_len;
+    uint8_t has_second;
+    uint8_t last_name; /* index of the name in the last line */
+} canser_text;
+
+/* Room for the frames of lines, and the result of a call. The caller owns the arrays, and sets the
+ * first four fields. Each call sets the others. */
+typedef struct {
+    canser_frame *frames;
+    uint8_t *channels;   /* as long; CANSER_NO_CHANNEL if the line tells none */
+    uint8_t *directions; /* as long; CANSER_RECEIVED if the line tells none */
+    size_t frame_cap;
+    size_t frame_count;
+    size_t line_count; /* lines taken: those of the frames, and those that are only counted */
+    size_t used;       /* bytes taken: whole lines */
+    int is_unusual;    /* 1: the next line is whole, and is for the caller to read */
+} canser_rows;
+
+/* The format at an index of the table; NULL past the last one. */
+const canser_text_format *canser_text_at(size_t index);
+
+/* Add the name of a channel: `len` bytes without blanks. Returns CANSER_OK; CANSER_NULL;
+ * CANSER_RANGE for an empty name, one over CANSER_NAME_LEN_MAX bytes, and over CANSER_NAMES_MAX
+ * names, with no change. */
+int canser_text_add_name(canser_text *self, const char *name, size_t len, uint8_t channel);
+
+/* Read lines of text as frames.
+ *
+ * Takes whole lines from data[0] on. It stops before an unusual line, before a line that is not
+ * whole, and when the rows are full. A line that it takes is a frame of classic CAN in the usual
+ * spelling, or it is counted in the state. The caller reads unusual lines by itself: comments,
+ * other spellings, mistakes. Reads only data[0..data_len), and writes rows below frame_cap only.
+ *
+ * Returns CANSER_OK; CANSER_NULL, CANSER_MISALIGNED and CANSER_OVERLAP before anything was read.
+ * The results in `*rows` are set on every return on which it is not NULL. */
+int canser_text_read(canser_text *self, const uint8_t *data, size_t data_len, canser_rows *rows);
+
+/* Write frames as lines of text, one behind the other. Stops when `out` may have no room for the
+ * next line; 160 bytes for each frame are always enough.
+ *
+ * `channels` and `directions` are as long as `frames`, or NULL. Returns CANSER_OK; CANSER_REFUSED
+ * at a frame that is none of classic CAN, with its index in result->frame_count and the reason in
+ * result->refusal, and all frames before it written; CANSER_NULL, CANSER_MISALIGNED and
+ * CANSER_OVERLAP before anything was written. Bytes of `out` past byte_count may have been written
+ * over. */
+int canser_text_write(canser_text *self, const canser_frame *frames, const uint8_t *channels,
+                      const uint8_t *directions, size_t frame_count, uint8_t *out, size_t out_cap,
+                      canser_encoded *result);
 
 /* cffi: end */
 

@@ -57,7 +57,21 @@ def build(program: Path, *arguments: str | Path) -> Path:
 def build_test(folder: Path, name: str, *flags: str) -> Path:
     """Build a program of one file, or of all files of a folder."""
     own = sorted((HERE / "c" / name).glob("*.c")) or [HERE / "c" / f"{name}.c"]
-    return build(folder / name, *flags, f"-I{CORE}", f"-I{HERE / 'c'}", *own, *SHARED, *SOURCES)
+    core = build_core(folder.parent, *flags)
+    return build(folder / name, *flags, f"-I{CORE}", f"-I{HERE / 'c'}", *own, *core)
+
+
+def build_core(folder: Path, *flags: str) -> list[Path]:
+    """Compile what all programs share, once for all of them with the same flags."""
+    built = folder / f"core{''.join(flags).replace('/', '_')}"
+    if not built.exists():
+        building = folder / f"{built.name}.new"
+        building.mkdir()
+        for source in [*SHARED, *SOURCES]:
+            name = "_".join(source.parts[-2:]) + ".o"
+            run(*COMPILER, "-std=c11", *flags, f"-I{CORE}", "-c", source, "-o", building / name)
+        building.rename(built)
+    return sorted(built.iterdir())
 
 
 def assert_all_pass(output: str) -> None:
@@ -102,6 +116,14 @@ def test_guard_pages(tmp_path: Path) -> None:
 @takes_long
 def test_guard_pages_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
     assert_all_pass(run(build_test(tmp_path, "guard", *debug_flags)))
+
+
+def test_lines_of_text(tmp_path: Path) -> None:
+    assert_all_pass(run(build_test(tmp_path, "text", *FAST), "20000" if LONG else "2000"))
+
+
+def test_lines_of_text_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    assert_all_pass(run(build_test(tmp_path, "text", *debug_flags)))
 
 
 def test_blocks_of_recordings(tmp_path: Path) -> None:

@@ -1,0 +1,123 @@
+/* asc: the log of Vector's CANalyzer and CANoe.
+ *
+ *        0.001000 1  123x            Rx   d 8 01 02 03 04 05 06 07 08
+ *        0.002000 2  7FF             Tx   r 8
+ *        0.003000 1  ErrorFrame
+ *
+ * Time in seconds, channel from 1, id (extended with an x), direction, data or remote, dlc, bytes.
+ * With `is_relative` a time counts from the line before. Behind the bytes there may be
+ * "Length = ... BitCount = ...".
+ *
+ * Source: files of Vector's programs; python-can, can.io.asc. Unusual, and left to the caller: the
+ * header, decimal ids and bytes, CAN FD, error frames, lines of other events, dlcs over 8.
+ */
+#include "text.h"
+
+/* What may follow a frame: blanks, and the length of the frame on the bus. */
+CANSER_INLINE const uint8_t *take_rest(const uint8_t *p, const uint8_t *line)
+{
+    if (!p)
+        return NULL;
+    if (*p == '\n')
+        return p + 1;
+    p = skip_blanks(p);
+    return p && p[0] == 'L' && p[1] == 'e' ? skip_line(p, line) : take_end(p);
+}
+
+static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
+{
+    const uint8_t *const line = p;
+    uint8_t data[DLC_MAX] = {0};
+    uint64_t channel;
+    int64_t ts;
+
+    if (self->is_decimal)
+        return NULL;
+    p = take_blanks(take_fixed(skip_blanks(p), 9, &ts));
+    p = take_blanks(take_number(p, &channel));
+    if (!p || channel == 0 || channel > CANSER_NO_CHANNEL)
+        return NULL;
+    row->channel = (uint8_t)(channel - 1);
+    const uint64_t text = load_text(p);
+    const unsigned digits = count_hex(text);
+    if (!digits)
+        return NULL;
+    p += digits;
+    const unsigned ext = *p == 'x';
+    p = take_blanks(p + ext);
+    if (!p || p[1] != 'x' || (p[0] != 'R' && p[0] != 'T'))
+        return NULL;
+    row->direction = *p == 'T' ? CANSER_SENT : CANSER_RECEIVED;
+    p += 2;
+    if (p[0] == 'R' && p[1] == 'q')
+        p += 2;
+    p = take_blanks(p);
+    if (!p || (*p != 'd' && *p != 'r'))
+        return NULL;
+    const unsigned rtr = *p == 'r';
+    p = take_blanks(p + 1);
+    if (!p)
+        return NULL;
+    const unsigned dlc = (unsigned)(*p - '0');
+    if (dlc > DLC_MAX)
+        return NULL;
+    p++;
+    if (!rtr)
+        p = take_spaced(p, dlc, data);
+    p = take_rest(p, line);
+    if (!p || !put_frame(row->frame, ts, hex_value(text, digits), ext, rtr, 0, dlc, data))
+        return NULL;
+    if (self->is_relative)
+        row->frame->ts = self->last_ns = (int64_t)((uint64_t)self->last_ns + (uint64_t)ts);
+    return p;
+}
+
+/* Blanks that fill a column of 16 characters, which begins at `begin`. */
+CANSER_INLINE uint8_t *pad_to_16(uint8_t *out, const uint8_t *begin)
+{
+    memset(out, ' ', 16);
+    return out + 16 - (out - begin);
+}
+
+static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned channel,
+                      unsigned direction, uint8_t *out)
+{
+    const bool known = frame->ts != CANSER_NO_TIME;
+    uint32_t ns;
+    int shift = 28;
+
+    *out++ = ' ';
+    out = put_seconds(self, out,
+                      known ? (int64_t)((uint64_t)frame->ts - (uint64_t)self->start_ns) : 0, &ns);
+    self->unknown_times += !known;
+    self->cut_times += ns % 1000 != 0;
+    out = put_digits(out, ns / 1000, 6);
+    *out++ = ' ';
+    out = put_number(out, channel == CANSER_NO_CHANNEL ? 1 : channel + 1);
+    out = PUT(out, "  ");
+    if (frame->err) {
+        self->error_frames++;
+        return PUT(out, "ErrorFrame\n");
+    }
+    uint8_t *const id = out;
+    while (shift && !(frame->id >> shift))
+        shift -= 4;
+    for (; shift >= 0; shift -= 4)
+        *out++ = canser_text_hex[2 * (frame->id >> shift & 15) + 1];
+    if (frame->ext)
+        *out++ = 'x';
+    out = pad_to_16(out, id);
+    out = direction == CANSER_SENT ? PUT(out, "Tx   ") : PUT(out, "Rx   ");
+    *out++ = frame->rtr ? 'r' : 'd';
+    *out++ = ' ';
+    *out++ = (uint8_t)('0' + frame->dlc);
+    for (size_t i = 0; i < data_len(frame); i++) {
+        *out++ = ' ';
+        out = put_hex(out, frame->data[i]);
+    }
+    *out++ = '\n';
+    return out;
+}
+
+static const struct canser_text_codec codec = {read, write};
+const canser_text_format canser_text_asc = {"asc", &codec};

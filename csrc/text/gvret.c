@@ -1,0 +1,99 @@
+/* gvret: the table of SavvyCAN and of GVRET devices.
+ *
+ *     Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8
+ *     1767225600123456,00000123,true,Rx,0,3,01,02,03,
+ *
+ * The time is in microseconds. Files of old devices have no column Dir: the caller leaves "d" out
+ * of `columns`. Digits are hexadecimal, with or without zeros before them. A LEN over 8 is CAN FD:
+ * such lines are counted. There are no remote and no error frames.
+ *
+ * Source: SavvyCAN, framefileio.cpp. Unusual, and left to the caller: the header.
+ */
+#include "text.h"
+
+static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
+{
+    uint8_t data[DLC_MAX] = {0};
+    uint64_t us, bus, len;
+    unsigned ext = 0;
+
+    p = take_char(take_number(p, &us), ',');
+    if (!p || us > INT64_MAX / 1000)
+        return NULL;
+    const uint64_t text = load_text(p);
+    const unsigned digits = count_hex(text);
+    if (!digits || p[digits] != ',')
+        return NULL;
+    p += digits + 1;
+    /* Letters in any case. */
+    const uint64_t word = load_text(p) | EACH(0x20);
+    if ((word & UINT64_C(0xFFFFFFFF)) == UINT64_C(0x65757274)) { /* "true" */
+        ext = 1;
+        p += 4;
+    } else if ((word & UINT64_C(0xFFFFFFFFFF)) == UINT64_C(0x65736C6166)) { /* "false" */
+        p += 5;
+    } else {
+        return NULL;
+    }
+    if (self->columns[0] == 'd') {
+        if (p[0] != ',' || p[2] != 'x' || (p[1] != 'R' && p[1] != 'T'))
+            return NULL;
+        row->direction = p[1] == 'T' ? CANSER_SENT : CANSER_RECEIVED;
+        p += 3;
+    }
+    p = take_number(take_char(take_number(take_char(p, ','), &bus), ','), &len);
+    if (!p || bus >= CANSER_NO_CHANNEL)
+        return NULL;
+    row->channel = (uint8_t)bus;
+    if (len > DLC_MAX) {
+        const uint8_t *const end = len <= 64 ? memchr(p, '\n', 256) : NULL;
+        if (!end)
+            return NULL;
+        self->fd_count++;
+        row->direction = SKIPPED;
+        return end + 1;
+    }
+    for (size_t i = 0; i < len; i++) {
+        p = take_char(p, ',');
+        p = p ? take_byte(p, &data[i]) : NULL;
+        if (!p)
+            return NULL;
+    }
+    for (int i = 0; i <= DLC_MAX && *p == ','; i++)
+        p++;
+    if (!put_frame(row->frame, (int64_t)us * 1000, hex_value(text, digits), ext, 0, 0, (size_t)len,
+                   data))
+        return NULL;
+    return take_end(p);
+}
+
+static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned channel,
+                      unsigned direction, uint8_t *out)
+{
+    const bool known = frame->ts != CANSER_NO_TIME;
+    const int64_t ts = known ? frame->ts : 0;
+
+    self->unknown_times += !known;
+    self->cut_times += ts % 1000 != 0;
+    if (ts < 0)
+        *out++ = '-';
+    out = put_number(out, (ts < 0 ? 0 - (uint64_t)ts : (uint64_t)ts) / 1000);
+    *out++ = ',';
+    for (int shift = 24; shift >= 0; shift -= 8)
+        out = put_hex(out, (uint8_t)(frame->id >> shift));
+    out = frame->ext ? PUT(out, ",true,") : PUT(out, ",false,");
+    out = direction == CANSER_SENT ? PUT(out, "Tx,") : PUT(out, "Rx,");
+    out = put_number(out, channel == CANSER_NO_CHANNEL ? 0 : channel);
+    *out++ = ',';
+    *out++ = (uint8_t)('0' + frame->dlc);
+    *out++ = ',';
+    for (size_t i = 0; i < frame->dlc; i++) {
+        out = put_hex(out, frame->data[i]);
+        *out++ = ',';
+    }
+    *out++ = '\n';
+    return out;
+}
+
+static const struct canser_text_codec codec = {read, write};
+const canser_text_format canser_text_gvret = {"gvret", &codec};

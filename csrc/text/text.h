@@ -1,0 +1,328 @@
+/* Private: a format of text, and the tokens of its lines.
+ *
+ * Tokens are read eight characters at a time, and may read up to LINE_WINDOW bytes behind the start
+ * of their line, whatever is there: the caller of a format's functions makes sure that these can be
+ * read. Every token has a bound, so that a line never reads further. Each takes a place, and
+ * returns the place behind the token, or NULL if there is none; NULL goes through all of them.
+ */
+#ifndef CANSER_TEXT_H
+#define CANSER_TEXT_H
+
+#include "../protocol.h"
+
+#define CANSER_DECLARE(name) extern const canser_text_format canser_text_##name;
+CANSER_TEXTS(CANSER_DECLARE)
+#undef CANSER_DECLARE
+
+/* The bytes behind the start of a line that may be read, and the longest line as it is written. */
+enum { LINE_WINDOW = 512, LINE_MOST = 160 };
+
+/* The longest run of blanks between two tokens. Programs align columns by up to 40. */
+enum { BLANKS_MOST = 64 };
+
+/* One frame of a line, and what the record has no field for. */
+typedef struct {
+    canser_frame *frame;
+    uint8_t channel;
+    uint8_t direction;
+} text_row;
+
+/* A format of text. */
+struct canser_text_codec {
+    /* Read the line at `p` into a row; return the place behind its line end. NULL for a line that
+     * is unusual, with no change to the state. SKIPPED in row->direction: the line is counted, and
+     * is no frame. */
+    const uint8_t *(*read)(canser_text *self, const uint8_t *p, text_row *row);
+    /* Write a frame as a line; return the place behind it. The frame is one of classic CAN. */
+    uint8_t *(*write)(canser_text *self, const canser_frame *frame, unsigned channel,
+                      unsigned direction, uint8_t *out);
+};
+
+/* A line that is no frame of classic CAN, and was counted. */
+enum { SKIPPED = 0xFE };
+
+/* The powers of ten up to 10^9. */
+static const uint32_t tens[] = {1,      10,      100,      1000,      10000,
+                                100000, 1000000, 10000000, 100000000, 1000000000};
+
+#define EACH(byte) (UINT64_C(0x0101010101010101) * (byte))
+
+/* Eight characters, the first one in the lowest byte. */
+CANSER_INLINE uint64_t load_text(const uint8_t *p)
+{
+#if CANSER_BIG_ENDIAN
+    return load_le32(p) | (uint64_t)load_le32(p + 4) << 32;
+#else
+    return load_word(p);
+#endif
+}
+
+/* The number of bytes below the first one whose top bit is set: 0 to 8. */
+CANSER_INLINE unsigned count_below(uint64_t tops)
+{
+#if defined(__GNUC__)
+    return tops ? (unsigned)__builtin_ctzll(tops) / 8 : 8;
+#else
+    /* Below the lowest bit all bits become ones: the bytes up to there are counted. */
+    return tops ? (unsigned)(((((tops & (0 - tops)) - 1) & EACH(1)) * EACH(1)) >> 56) - 1 : 8;
+#endif
+}
+
+/* How many of eight characters are digits, from the first one on. A carry out of a byte that is
+ * none changes bytes behind it only. */
+CANSER_INLINE unsigned count_digits(uint64_t text)
+{
+    const uint64_t digits = text ^ EACH('0');
+    return count_below((digits | (digits + EACH(0x7F - 9))) & EACH(0x80));
+}
+
+/* How many are hexadecimal digits. */
+CANSER_INLINE unsigned count_hex(uint64_t text)
+{
+    const uint64_t digits = text ^ EACH('0'), letters = (text | EACH(0x20)) ^ EACH(0x60);
+    const uint64_t no_digit = digits | (digits + EACH(0x7F - 9)),
+                   no_letter = letters | (letters + EACH(0x7F - 6)) | ~(letters + EACH(0x7F));
+    return count_below(no_digit & no_letter & EACH(0x80));
+}
+
+/* The number that `count` digits make, 1 to 8. */
+CANSER_INLINE uint32_t digits_value(uint64_t text, unsigned count)
+{
+    /* Zeros before the first digit; then pairs, and pairs of pairs, of digits are joined. */
+    uint64_t value = (text & EACH(0x0F)) << (64 - 8 * count);
+    value = value * 10 + (value >> 8);
+    return (uint32_t)(((value & UINT64_C(0xFF000000FF)) * UINT64_C(0xF424000000064) +
+                       (value >> 16 & UINT64_C(0xFF000000FF)) * UINT64_C(0x271000000001)) >>
+                      32);
+}
+
+/* Eight hexadecimal digits as four bytes, the first one in the lowest byte; characters that are no
+ * digits give any bits. */
+CANSER_INLINE uint32_t hex_bytes(uint64_t text)
+{
+    const uint64_t nibbles = (text & EACH(0x0F)) + 9 * (text >> 6 & EACH(1));
+    uint64_t value = (nibbles << 4 | nibbles >> 8) & UINT64_C(0x00FF00FF00FF00FF);
+    value = (value | value >> 8) & UINT64_C(0x0000FFFF0000FFFF);
+    return (uint32_t)(value | value >> 16);
+}
+
+CANSER_INLINE uint32_t swap_bytes(uint32_t value)
+{
+    return value >> 24 | (value >> 8 & 0xFF00) | (value & 0xFF00) << 8 | value << 24;
+}
+
+/* The number that `count` hexadecimal digits make, 1 to 8. */
+CANSER_INLINE uint32_t hex_value(uint64_t text, unsigned count)
+{
+    return swap_bytes(hex_bytes(text << (64 - 8 * count)));
+}
+
+/* Up to 16 decimal digits. */
+CANSER_INLINE const uint8_t *take_number(const uint8_t *p, uint64_t *value)
+{
+    if (!p)
+        return NULL;
+    uint64_t text = load_text(p);
+    unsigned count = count_digits(text);
+
+    if (!count)
+        return NULL;
+    *value = digits_value(text, count);
+    if (count < 8)
+        return p + count;
+    text = load_text(p += 8);
+    count = count_digits(text);
+    if (!count)
+        return p;
+    *value = *value * (count < 8 ? tens[count] : 100000000) + digits_value(text, count);
+    return count < 8 || (unsigned)(p[8] - '0') > 9 ? p + count : NULL;
+}
+
+/* A decimal number, with up to `places` decimal places, as a whole number of units of its last
+ * place: -1.5 with 3 places is -1500. */
+CANSER_INLINE const uint8_t *take_fixed(const uint8_t *p, unsigned places, int64_t *value)
+{
+    if (!p)
+        return NULL;
+    const bool negative = *p == '-';
+    uint64_t whole, fraction = 0;
+
+    p = take_number(p + negative, &whole);
+    if (!p || whole >= (uint64_t)INT64_MAX / tens[places])
+        return NULL;
+    if (*p == '.') {
+        const uint64_t text = load_text(++p);
+        unsigned count = count_digits(text);
+
+        if (count)
+            fraction = digits_value(text, count);
+        if (count == 8 && (unsigned)(p[8] - '0') <= 9) {
+            fraction = fraction * 10 + (p[8] - '0');
+            if ((unsigned)(p[count = 9] - '0') <= 9)
+                return NULL;
+        }
+        if (count > places)
+            return NULL;
+        fraction *= tens[places - count];
+        p += count;
+    }
+    *value = (int64_t)(whole * tens[places] + fraction);
+    if (negative)
+        *value = -*value;
+    return p;
+}
+
+/* One character. */
+CANSER_INLINE const uint8_t *take_char(const uint8_t *p, char wanted)
+{
+    return p && *p == (uint8_t)wanted ? p + 1 : NULL;
+}
+
+CANSER_INLINE bool is_blank(uint8_t c)
+{
+    return c == ' ' || c == '\t';
+}
+
+/* Any blanks, or none. */
+CANSER_INLINE const uint8_t *skip_blanks(const uint8_t *p)
+{
+    if (!p)
+        return NULL;
+    const uint8_t *const end = p + BLANKS_MOST;
+    while (is_blank(*p))
+        if (++p == end)
+            return NULL;
+    return p;
+}
+
+/* At least one blank. */
+CANSER_INLINE const uint8_t *take_blanks(const uint8_t *p)
+{
+    return p && is_blank(*p) ? skip_blanks(p + 1) : NULL;
+}
+
+/* The end of a line, with blanks before it. */
+CANSER_INLINE const uint8_t *take_end(const uint8_t *p)
+{
+    if (p && *p == '\n')
+        return p + 1;
+    p = skip_blanks(p);
+    if (p && *p == '\r')
+        p++;
+    return take_char(p, '\n');
+}
+
+/* The rest of a line. */
+CANSER_INLINE const uint8_t *skip_line(const uint8_t *p, const uint8_t *line)
+{
+    const uint8_t *const end = memchr(p, '\n', (size_t)(line + LINE_WINDOW - p));
+    return end ? end + 1 : NULL;
+}
+
+/* A byte of one or two hexadecimal digits. */
+CANSER_INLINE const uint8_t *take_byte(const uint8_t *p, uint8_t *value)
+{
+    static const int8_t digit[256] = {
+        ['0'] = 1,  ['1'] = 2,  ['2'] = 3,  ['3'] = 4,  ['4'] = 5,  ['5'] = 6,
+        ['6'] = 7,  ['7'] = 8,  ['8'] = 9,  ['9'] = 10, ['A'] = 11, ['B'] = 12,
+        ['C'] = 13, ['D'] = 14, ['E'] = 15, ['F'] = 16, ['a'] = 11, ['b'] = 12,
+        ['c'] = 13, ['d'] = 14, ['e'] = 15, ['f'] = 16,
+    };
+    const int high = digit[p[0]], low = digit[p[1]];
+
+    if (!high)
+        return NULL;
+    *value = (uint8_t)(low ? (high - 1) << 4 | (low - 1) : high - 1);
+    return p + 1 + !!low;
+}
+
+/* `count` bytes of two hexadecimal digits, a blank before each. */
+CANSER_INLINE const uint8_t *take_spaced(const uint8_t *p, size_t count, uint8_t *data)
+{
+    if (!p)
+        return NULL;
+    for (size_t i = 0; i < count; i++) {
+        const uint8_t *const begin = p[0] == ' ' && !is_blank(p[1]) ? p + 1 : take_blanks(p);
+        if (!begin)
+            return NULL;
+        p = take_byte(begin, &data[i]);
+        if (!p)
+            return NULL;
+    }
+    return p;
+}
+
+/* Store the record of a data, a remote or an error frame; false if it is none of classic CAN. */
+CANSER_INLINE bool put_frame(canser_frame *frame, int64_t ts, uint32_t id, unsigned ext,
+                             unsigned rtr, unsigned err, size_t dlc, const uint8_t *data)
+{
+    if (dlc > DLC_MAX || id > (uint32_t)(ext ? ID_EXT_MAX : ID_STD_MAX))
+        return false;
+    store_frame(frame, id, ext, rtr, err, dlc, data);
+    frame->ts = ts;
+    return true;
+}
+
+/* Set the text of a second; return the nanoseconds behind it. */
+uint32_t canser_text_set_second(canser_text *self, int64_t ts);
+
+/* Two characters for each number below 100, and for each byte. */
+extern const uint8_t canser_text_pairs[200];
+extern const uint8_t canser_text_hex[512];
+
+CANSER_INLINE uint8_t *put_text(uint8_t *out, const char *text, size_t len)
+{
+    memcpy(out, text, len);
+    return out + len;
+}
+
+#define PUT(out, text) put_text(out, text, sizeof(text) - 1)
+
+/* A number of two, four, six or eight digits, with zeros before it. */
+CANSER_INLINE uint8_t *put_digits(uint8_t *out, uint32_t value, int count)
+{
+    for (int at = count - 2; at >= 0; at -= 2, value /= 100)
+        memcpy(out + at, canser_text_pairs + 2 * (value % 100), 2);
+    return out + count;
+}
+
+/* A number without zeros before it. */
+CANSER_INLINE uint8_t *put_number(uint8_t *out, uint64_t value)
+{
+    uint8_t text[20], *p = text + sizeof text;
+
+    do
+        *--p = (uint8_t)('0' + value % 10);
+    while (value /= 10);
+    const size_t len = (size_t)(text + sizeof text - p);
+    memcpy(out, p, len);
+    return out + len;
+}
+
+CANSER_INLINE uint8_t *put_hex(uint8_t *out, uint8_t value)
+{
+    memcpy(out, canser_text_hex + 2 * (size_t)value, 2);
+    return out + 2;
+}
+
+/* Seconds and a point, or a date and a time of day; the nanoseconds behind are for the caller to
+ * write. The text of the line before is copied: most lines have the same second. */
+CANSER_INLINE uint8_t *put_seconds(canser_text *self, uint8_t *out, int64_t ts, uint32_t *ns)
+{
+    const uint64_t since = (uint64_t)ts - self->second * UINT64_C(1000000000);
+
+    if (CANSER_LIKELY(since < 1000000000 && self->has_second && ts >= 0))
+        *ns = (uint32_t)since;
+    else
+        *ns = canser_text_set_second(self, ts);
+    memcpy(out, self->second_text, sizeof self->second_text);
+    return out + self->second_len;
+}
+
+/* The data bytes of a frame; a remote frame has none. */
+CANSER_INLINE size_t data_len(const canser_frame *frame)
+{
+    return frame->rtr ? 0 : frame->dlc;
+}
+
+#endif

@@ -1,0 +1,161 @@
+/* trc: the trace of PEAK's PCAN programs, versions 1.0 to 2.1.
+ *
+ *     ;$FILEVERSION=2.1
+ *     ;$COLUMNS=N,O,T,B,I,d,R,L,D
+ *           1         0.500 DT 1     0123 Rx -  8    01 02 03 04 05 06 07 08
+ *           2         1.000 RR 2 18FEF100 Tx -  4
+ *
+ * `columns` are the letters of $COLUMNS, in their order: N number, O time in milliseconds, T type,
+ * B bus from 1, I id, d direction, R reserved, L dlc or l length, D data. Versions 1.x have no such
+ * line; the caller gives N, O, t (Rx or Tx), B, I, R, L, D as the version has them. An id of four
+ * digits is standard, a longer one extended.
+ *
+ * Source: PEAK-System, "PCAN trace file format". Unusual, and left to the caller: comments, error
+ * frames, CAN FD, lines of other events.
+ */
+#include "text.h"
+
+/* Rx or Tx. */
+CANSER_INLINE const uint8_t *take_direction(const uint8_t *p, uint8_t *direction)
+{
+    if (p[1] != 'x' || (p[0] != 'R' && p[0] != 'T'))
+        return NULL;
+    *direction = p[0] == 'T' ? CANSER_SENT : CANSER_RECEIVED;
+    return p + 2;
+}
+
+static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
+{
+    uint8_t data[DLC_MAX] = {0};
+    uint64_t number, dlc = 0;
+    uint32_t id = 0;
+    unsigned ext = 0, rtr = 0;
+    int64_t ts = 0;
+
+    row->channel = 0; /* traces without a column for the bus are of one bus */
+    for (const char *column = self->columns; *column; column++) {
+        if (*column == 'D') {
+            if (dlc > DLC_MAX)
+                return NULL;
+            const uint8_t *const begin = skip_blanks(p);
+            if (begin && begin[0] == 'R' && begin[1] == 'T' && begin[2] == 'R') {
+                rtr = 1;
+                p = begin + 3;
+            } else if (!rtr) {
+                p = take_spaced(p, (size_t)dlc, data);
+            }
+            break;
+        }
+        p = column == self->columns ? skip_blanks(p) : take_blanks(p);
+        if (!p)
+            return NULL;
+        switch (*column) {
+        case 'N':
+            p = take_number(p, &number);
+            if (p && *p == ')')
+                p++;
+            break;
+        case 'O':
+            p = take_fixed(p, 6, &ts);
+            break;
+        case 'T':
+            rtr = p[0] == 'R' && p[1] == 'R';
+            p = rtr || (p[0] == 'D' && p[1] == 'T') ? p + 2 : NULL;
+            break;
+        case 't':
+        case 'd':
+            p = take_direction(p, &row->direction);
+            break;
+        case 'B':
+            p = take_number(p, &number);
+            if (!p || number == 0 || number > CANSER_NO_CHANNEL)
+                return NULL;
+            row->channel = (uint8_t)(number - 1);
+            break;
+        case 'I': {
+            const uint64_t text = load_text(p);
+            const unsigned digits = count_hex(text);
+            if (digits < 4)
+                return NULL;
+            ext = digits > 4;
+            id = hex_value(text, digits);
+            p += digits;
+            break;
+        }
+        case 'L':
+        case 'l':
+            p = take_number(p, &dlc);
+            break;
+        case 'R':
+            p = take_char(p, '-');
+            break;
+        default:
+            return NULL;
+        }
+        if (!p)
+            return NULL;
+    }
+    p = take_end(p);
+    return p && put_frame(row->frame, ts, id, ext, rtr, 0, (size_t)dlc, data) ? p : NULL;
+}
+
+/* A number at the right of a column. */
+CANSER_INLINE uint8_t *put_right(uint8_t *out, uint64_t value, int width)
+{
+    uint8_t text[20];
+    const int len = (int)(put_number(text, value) - text);
+
+    memset(out, ' ', 16);
+    out += width > len ? width - len : 0;
+    memcpy(out, text, (size_t)len);
+    return out + len;
+}
+
+static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned channel,
+                      unsigned direction, uint8_t *out)
+{
+    const bool known = frame->ts != CANSER_NO_TIME;
+    const int64_t ts = known ? (int64_t)((uint64_t)frame->ts - (uint64_t)self->start_ns) : 0;
+    const uint64_t us = (ts < 0 ? 0 - (uint64_t)ts : (uint64_t)ts) / 1000;
+
+    self->unknown_times += !known;
+    self->cut_times += ts % 1000 != 0;
+    out = put_right(out, ++self->number, 7);
+    *out++ = ' ';
+    if (ts < 0)
+        *out++ = '-';
+    out = put_right(out, us / 1000, ts < 0 ? 8 : 9);
+    *out++ = '.';
+    *out++ = (uint8_t)('0' + us / 100 % 10);
+    out = put_digits(out, (uint32_t)(us % 100), 2);
+    out = frame->err ? PUT(out, " ER ") : frame->rtr ? PUT(out, " RR ") : PUT(out, " DT ");
+    out = put_number(out, channel == CANSER_NO_CHANNEL ? 1 : channel + 1);
+    *out++ = ' ';
+    if (frame->err) {
+        out = PUT(out, "       -");
+    } else if (frame->ext) {
+        for (int shift = 24; shift >= 0; shift -= 8)
+            out = put_hex(out, (uint8_t)(frame->id >> shift));
+    } else {
+        out = PUT(out, "    ");
+        out = put_hex(out, (uint8_t)(frame->id >> 8));
+        out = put_hex(out, (uint8_t)frame->id);
+    }
+    out = direction == CANSER_SENT ? PUT(out, " Tx -  ") : PUT(out, " Rx -  ");
+    if (frame->err) {
+        self->error_frames++;
+        return PUT(out, "5    00 00 00 00 00 \n");
+    }
+    *out++ = (uint8_t)('0' + frame->dlc);
+    if (data_len(frame))
+        out = PUT(out, "   ");
+    for (size_t i = 0; i < data_len(frame); i++) {
+        *out++ = ' ';
+        out = put_hex(out, frame->data[i]);
+    }
+    *out++ = '\n';
+    return out;
+}
+
+static const struct canser_text_codec codec = {read, write};
+const canser_text_format canser_text_trc = {"trc", &codec};
