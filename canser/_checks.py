@@ -79,10 +79,11 @@ def callback(value: _T, name: str, parameters: str) -> _T:
     return value
 
 
-def instance(value: Any, name: str, kind: type[_T]) -> _T:
+def instance(value: _T, name: str, kind: type[Any]) -> _T:
     """Return an object of this class; TypeError for anything else."""
     if not isinstance(value, kind):
-        raise _wrong_type(value, name, f"a canser.{kind.__name__}")
+        home = "canser" if kind.__module__.split(".")[0] == "canser" else kind.__module__
+        raise _wrong_type(value, name, f"a {home}.{kind.__name__}")
     return value
 
 

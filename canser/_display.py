@@ -2,13 +2,12 @@
 
 from collections.abc import Callable, Iterator
 from html import escape
-from io import BytesIO
 from typing import Any, Final, TextIO
 
 import numpy as np
 
-from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, check_frames
-from canser.files.candump import Writer
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, check_frames, copy_records
+from canser.files.candump import Dump
 
 __all__ = ["load_ipython_extension", "show", "unload_ipython_extension"]
 
@@ -48,11 +47,15 @@ def show(frames: FrameArray, file: TextIO | None = None) -> None:
     """
     check_frames(frames, "frames")
     head, left_out, tail = _parts(frames)
-    writer = Writer(BytesIO())  # only its text is used
-    lines = writer.text(head).decode()
+    lines_of = Dump("a").text
+    lines = lines_of(copy_records(head)).decode()
     if left_out:
-        lines += f"... {_counted(left_out)} left out ...\n{writer.text(tail).decode()}"
-    note = "; a time that is not known is shown as 0" if writer.ts_unknown else ""
+        lines += f"... {_counted(left_out)} left out ...\n{lines_of(copy_records(tail)).decode()}"
+    note = (
+        "; a time that is not known is shown as 0"
+        if (head["ts"] == NO_TIME).any() or (tail["ts"] == NO_TIME).any()
+        else ""
+    )
     print(f"{lines}{_counted(len(frames))}{note}", file=file)
 
 

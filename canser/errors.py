@@ -1,29 +1,29 @@
 """The exceptions of canser, and its warning.
 
-    Exception
-        CanserError                files and ports
-            FormatError            a file's content
-                ForeignFormatError
-                RecordingError
-            StreamClosedError
-            PortError              ports
-                PortNotFoundError
-                PortDeniedError
-                PortBusyError
-                PortGoneError
-                PortClosedError
-                SendError
-                    SendTimeoutError
-        ValueError                 arguments
-            NoProtocolError
-            WrongProtocolError
-        OSError
-            FileExistsError
-                OutputExistsError
-            BrokenPipeError
-                ReaderGoneError
-    UserWarning
-        CanserWarning
+Exception
+    CanserError                files and ports
+        FormatError            a file's content
+            ForeignFormatError
+            RecordingError
+        StreamClosedError
+        PortError              ports
+            PortNotFoundError
+            PortDeniedError
+            PortBusyError
+            PortGoneError
+            PortClosedError
+            SendError
+                SendTimeoutError
+    ValueError                 arguments
+        NoProtocolError
+        WrongProtocolError
+    OSError
+        FileExistsError
+            OutputExistsError
+        BrokenPipeError
+            ReaderGoneError
+UserWarning
+    CanserWarning
 """
 
 

@@ -446,14 +446,14 @@ def test_auto_does_not_guess(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("head", "message"),
     [
-        (b"date Sam Sep 30 15:06:13.191 2017\nbase hex  timestamps absolute\n", "ASC.*can_logconv"),
-        (b";$FILEVERSION=2.1\n;$STARTTIME=43008.920986006946\n", "TRC.*can_logconvert"),
+        (b"***BUSMASTER Ver 2.4.0***\n***PROTOCOL CAN***\n***NOTE***\n", "BUSMASTER"),
+        (b"@ TEXT @ 3 @ 22 @ 0 @ 0 @ 500 @ 100 @\r\n", "CANHacker"),
         (gzip.compress(b"x" * 99), "gzip.*gunzip"),
         (b"LOGG\x90\0\0\0" * 9, "BLF.*can_logconvert"),
-        (b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n1,2,false\n", "GVRET"),
+        (b"TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength\n", "CANedge"),
         (b"dear diary, today nothing came over the bus\n", "a text"),
     ],
-    ids=["ASC", "TRC", "gzip", "BLF", "GVRET", "text"],
+    ids=["BUSMASTER", "CANHacker", "gzip", "BLF", "CANedge", "text"],
 )
 def test_other_formats_are_named_with_what_reads_them(
     head: bytes, message: str, protocol: str | None, tmp_path: Path

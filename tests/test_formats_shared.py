@@ -1,119 +1,141 @@
-"""Text logs by many tools, against frames that plain parsers have found in them."""
+"""Logs by many tools, against frames that plain parsers have found in them."""
 
+import datetime as dt
 import gzip
-import io
 import json
-from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 
+import canser
 from canser.errors import FormatError
-from canser.files import candump, csv
-from reference import NO_TIME, Frame
-from samples import listed
 from shared import LOG_FILES, needs_logs
 
 pytestmark = needs_logs
 
-CHANNELS = "frames of 2 channels become one: "
-SENT = "direction is not kept: received "
-
-# Files that are read whole, and what is told of them.
-READ = {
-    "canboat_actisense-522.candump.log": [],
-    "canboat_candump-fast.txt": [],
-    "edge-asc2log.log": [CHANNELS + "can0 7, can1 2"],
-    "edge-pycan33.log": [CHANNELS + "0 7, 1 2"],
-    "edge.log": [CHANNELS + "can0 7, can1 2", SENT + "8, sent 1"],
-    "made-nul-tail.log": ["ends in 64 NUL bytes; was the power cut? Frames may be missing"],
-    "savvycan_candump.log": [],
-    "edge.csv": [],
-    "edge-pycan33.csv": [],
-}
-
-# Files of which some lines are left out here, for they hold no frame of classic CAN: the number
-# of those, and what is told of the others.
-READ_IN_PART = {
-    # The last line is torn.
-    "canboat_candumpSample3.txt": (1, []),
-    "css_multiple_CAN.log": (128, [CHANNELS + "can0 18, can1 18"]),
-    "made-all.log": (
-        3,
-        [
-            "frames of 3 channels become one: can0 5, vcan-long.name 1, can1 2",
-            SENT + "7, sent 1",
-            "raw dlcs of 9 to 15 become 8: 2",
-        ],
-    ),
-}
-
-# Files of other formats, and of the line that says so.
-REFUSED = {
-    "busmaster_Replay_04.log": "line 1: .*BUSMASTER",
-    "savvycan_BusMasterLog.log": "line 1: .*BUSMASTER",
-    "savvycan_MicrochipLog.log": "line 1: ",
-    "edge-screen.txt": "line 1: ",
-    "made-screen.txt": "line 1: ",
-    "canboat_candumpSample1.txt": "line 9: ",
-    "canboat_sample-YDWG02.txt": "line 1: ",
-    "css_multiple_CAN.csv": "no column timestamp, ",
-    "edge.gvret.csv": "no column timestamp, ",
-    "made-gvret-old.csv": "no column timestamp, ",
-}
+FORMATS = (".log", ".txt", ".csv", ".asc", ".trc")
 
 
-def reader(name: str) -> Callable[..., Any]:
-    return csv.parse if name.endswith(".csv") else candump.parse
+class Seen(NamedTuple):
+    """A frame as `expected.json.gz` has it; None for what the file does not tell."""
+
+    ts: int | None
+    channel: str | None
+    direction: str
+    id: int | None
+    ext: bool | None
+    rtr: bool
+    err: bool
+    dlc: int | None
+    data: str | None
 
 
-def read(name: str, raw: bytes) -> tuple[list[Frame], list[str]]:
-    told: list[str] = []
-    return listed(reader(name)(io.BytesIO(raw), name, told.append)), told
-
-
-def expected(name: str) -> list[Frame]:
+def load() -> dict[str, Any]:
+    if not LOG_FILES.exists():
+        return {}
     with gzip.open(LOG_FILES / "expected.json.gz") as file:
-        rows = json.load(file)[name]["frames"]
-    return [
-        Frame(
-            number,
-            # An error frame's digits do not tell it.
-            bool(ext) and not err,
-            bool(rtr),
-            dlc,
-            bool(err),
-            bytes.fromhex(data or "").ljust(8, b"\0"),
-            NO_TIME if ts is None else ts,
-        )
-        for ts, _, _, number, ext, rtr, err, dlc, data in rows
-    ]
+        everything: dict[str, Any] = json.load(file)
+    return everything
+
+
+EXPECTED = load()
+READ = [name for name, what in EXPECTED.items() if what and name.endswith(FORMATS)]
+FOREIGN = [name for name, what in EXPECTED.items() if not what and name != "edge"]
+
+# Of these the last line is cut: there it is a frame with less data than its length says.
+CUT = {"canboat_candumpSample1.txt"}
+
+
+def seen(path: Path) -> tuple[list[Seen], canser.Blocks]:
+    """Return all frames of a file, with channels by name and directions."""
+    rows = []
+    blocks = canser.blocks(path, tz=dt.UTC)
+    for frames in blocks:
+        names = blocks.channel_names
+        for at, frame in enumerate(frames):
+            assert blocks.channels is not None
+            assert blocks.directions is not None
+            rtr, dlc = bool(frame["rtr"]), int(frame["dlc"])
+            data = bytes(frame["data"][: 0 if rtr else dlc]).hex()
+            sent = bool(blocks.directions[at])
+            rows.append(
+                Seen(
+                    None if frame["ts"] == canser.NO_TIME else int(frame["ts"]),
+                    names.get(int(blocks.channels[at])),
+                    "Tx" if sent else "Rx",
+                    int(frame["id"]), bool(frame["ext"]), rtr, bool(frame["err"]), dlc, data,
+                )
+            )  # fmt: skip
+    return rows, blocks
+
+
+def wanted(name: str, got: list[Seen]) -> list[Seen]:
+    """Return the frames that a file must give; what it does not tell is as it was read."""
+    rows = []
+    for given, have in zip(EXPECTED[name]["frames"], [*got, *got], strict=False):
+        ts, channel, direction, number, ext, rtr, err, dlc, data = given
+        told = str(channel) if channel not in ("", 0) or have.channel == "0" else have.channel
+        rows.append(
+            Seen(
+                ts, told, direction,
+                have.id if number is None else number,
+                # The digits of an error frame do not tell it.
+                have.ext if ext is None or err else bool(ext),
+                bool(rtr), bool(err),
+                have.dlc if dlc is None else dlc,
+                have.data if data is None else data,
+            )
+        )  # fmt: skip
+    return rows
 
 
 @pytest.mark.parametrize("name", READ)
 def test_a_log_is_read_as_its_tool_meant_it(name: str) -> None:
-    assert read(name, (LOG_FILES / name).read_bytes()) == (expected(name), READ[name])
+    got, blocks = seen(LOG_FILES / name)
+    frames = wanted(name, got)
+    left_out = EXPECTED[name]["fd"]
+    if name in CUT:
+        frames.pop()
+        assert any("the last line is cut off" in remark for remark in blocks.notes.remarks)
+    assert got == frames
+    told = [remark for remark in blocks.notes.remarks if "CAN FD" in remark]
+    assert told == (
+        [f"{LOG_FILES / name}: CAN FD frames, left out: {left_out}"] if left_out else []
+    )
 
 
-@pytest.mark.parametrize("name", READ_IN_PART)
-def test_all_classic_frames_of_a_log_are_read(name: str) -> None:
-    left_out, told = READ_IN_PART[name]
-    lines = (LOG_FILES / name).read_bytes().splitlines(keepends=True)
-    good = []
-    for line in lines:
-        try:
-            read(name, line)
-        except FormatError:
-            continue
-        good.append(line)
-    assert len(lines) - len(good) == left_out
-    assert read(name, b"".join(good)) == (expected(name), told)
-    with pytest.raises(FormatError):
-        read(name, b"".join(lines))
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_another_format_is_an_error_of_one_line(name: str) -> None:
-    with pytest.raises(FormatError, match=REFUSED[name]) as error:
-        read(name, (LOG_FILES / name).read_bytes())
+@pytest.mark.parametrize("name", FOREIGN)
+def test_another_format_is_named_in_one_line(name: str) -> None:
+    with pytest.raises(FormatError) as error:
+        canser.read(LOG_FILES / name)
     assert "\n" not in str(error.value)
+    assert "not raw bytes" in str(error.value)
+
+
+# The start that a log names, as local time; by the formats' documents.
+STARTS = {
+    "edge.asc": "2026-01-01T00:00:00.123",
+    "edge.trc": "2026-01-01T00:00:00.123457",
+    "edge-1.1.trc": "2026-01-01T00:00:00.123457",
+    "logfile.asc": "2017-09-30T15:06:13.191",
+    "css_multiple_CAN.asc": "2020-02-14T08:51:20",
+    "css_multiple_CAN.trc": "2020-02-13T08:57:08.161546",
+    "made-no-begin.asc": "2026-01-01",
+    "busmaster_FormatConvASC2LOG.asc": "2012-05-18",
+    "test_CanMessage_V1_0_BUS1.trc": "2021-12-18T14:28:07.062",
+    "issue_1256.asc": "2014-05-27T16:09:35",
+    "test_CanMessage.asc": "2017-09-30T22:06:13.191",
+}
+
+
+@pytest.mark.parametrize("name", STARTS)
+def test_the_start_is_what_the_file_says(name: str) -> None:
+    _, blocks = seen(LOG_FILES / name)
+    assert blocks.start_ns is not None
+    date = dt.datetime.fromisoformat(STARTS[name]).replace(tzinfo=dt.UTC)
+    assert abs(blocks.start_ns - int(date.timestamp() * 1e6) * 1000) < 9_000
+    zone = dt.timezone(dt.timedelta(hours=2))
+    with canser.blocks(LOG_FILES / name, tz=zone) as others:
+        next(others)
+        assert others.start_ns == blocks.start_ns - 2 * 3600 * 10**9

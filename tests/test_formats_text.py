@@ -1,61 +1,66 @@
-"""What the text formats share: seconds without rounding, and rows that are CAN frames."""
-
-import io
-from collections.abc import Iterator
+"""What the text formats share: seconds without rounding, lines and their numbers, last lines."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canser._rows import Row
+from canser._core.text import TextWriter
 from canser.errors import FormatError
-from canser.files import _text
-from canser.files._remarks import Unkept
-from reference import NO_TIME
-from samples import SECOND
+from canser.files.seconds import parse_seconds
+from reference import NO_TIME, Frame
+from samples import SECOND, array
+from texts import read_text
 
 TIMES = st.integers(NO_TIME + 1, 2**63 - 1)
+LINE = b"(1.0) can0 123#\n"
 
 
-def seconds(ts: int, places: int) -> str:
-    """Return one time as the writers write it."""
-    return _text.join(1, _text.seconds(np.array([ts], np.int64), places)).decode()
+def seconds(ts: int) -> str:
+    """Return one time as C writes it: csv has nine places where they are of use, else six."""
+    writer = TextWriter("csv")
+    return (
+        b"".join(map(bytes, writer.lines(array(Frame(0, ts=ts)), None, None)))
+        .split(b",")[0]
+        .decode()
+    )
 
 
 @pytest.mark.parametrize(
     ("ts", "text"),
     [
-        (0, "0.000000000"),
+        (0, "0.000000"),
         (1, "0.000000001"),
         (-1, "-0.000000001"),
-        (-1_500_000_000, "-1.500000000"),
+        (-1_500_000_000, "-1.500000"),
         (1_544_106_679_432_583_021, "1544106679.432583021"),
         (2**63 - 1, "9223372036.854775807"),
         (1 - 2**63, "-9223372036.854775807"),
     ],
 )
 def test_times_are_seconds_with_all_nanoseconds(ts: int, text: str) -> None:
-    assert seconds(ts, 9) == text
-    assert _text.parse_seconds(text) == ts
-
-
-def test_places_that_are_not_asked_for_are_cut_and_not_rounded() -> None:
-    assert seconds(1_999_999_999, 6) == "1.999999"
-    assert seconds(-1_999_999_999, 6) == "-1.999999"
+    assert seconds(ts) == text
+    assert parse_seconds(text) == ts
 
 
 @given(TIMES)
 def test_every_time_reads_back(ts: int) -> None:
-    assert _text.parse_seconds(seconds(ts, 9)) == ts
+    assert parse_seconds(seconds(ts)) == ts
 
 
-@given(st.lists(TIMES))
-def test_a_column_of_times_is_each_time_by_itself(times: list[int]) -> None:
-    column = _text.seconds(np.array(times, np.int64), 9)
-    assert _text.join(len(times), column, b"\n").decode().split() == [
-        seconds(ts, 9) for ts in times
-    ]
+@given(st.lists(st.one_of(TIMES, st.integers(-3 * SECOND, 3 * SECOND))))
+def test_a_time_does_not_depend_on_the_one_before(times: list[int]) -> None:
+    frames = array(*(Frame(0, ts=ts) for ts in times))
+    text = b"".join(map(bytes, TextWriter("csv").lines(frames, None, None))).decode()
+    assert [line.split(",")[0] for line in text.splitlines()] == [seconds(ts) for ts in times]
+
+
+@given(st.one_of(TIMES, st.integers(-(10**15), 10**15).map(lambda days: days * 1000)))
+def test_a_date_is_the_one_of_numpy(ts: int) -> None:
+    writer = TextWriter("candump")
+    writer.state.is_dated = True
+    line = b"".join(map(bytes, writer.lines(array(Frame(0, ts=ts)), None, None))).decode()
+    assert line[1:27].replace(" ", "T") == str(np.datetime64(ts, "ns"))[:26]
 
 
 @pytest.mark.parametrize(
@@ -74,7 +79,7 @@ def test_a_column_of_times_is_each_time_by_itself(times: list[int]) -> None:
     ],
 )
 def test_other_spellings_of_a_time_are_read(text: str, ts: int) -> None:
-    assert _text.parse_seconds(text) == ts
+    assert parse_seconds(text) == ts
 
 
 @pytest.mark.parametrize(
@@ -82,7 +87,7 @@ def test_other_spellings_of_a_time_are_read(text: str, ts: int) -> None:
 )
 def test_a_time_that_does_not_fit_is_an_error_that_names_it(text: str) -> None:
     with pytest.raises(ValueError, match=f"the time {text} does not fit 64 bits of nanoseconds"):
-        _text.parse_seconds(text)
+        parse_seconds(text)
 
 
 @pytest.mark.parametrize(
@@ -95,51 +100,63 @@ def test_a_time_that_does_not_fit_is_an_error_that_names_it(text: str) -> None:
 )
 def test_what_is_no_number_is_an_error(text: str) -> None:
     with pytest.raises(ValueError, match="is no time in seconds"):
-        _text.parse_seconds(text)
-
-
-def test_rows_come_in_blocks_that_together_are_all_rows() -> None:
-    count = 2 * _text._BLOCK + 1
-
-    def rows() -> Iterator[Row]:
-        for number in range(count):
-            yield (number % 0x800, False, False, 1, False, bytes([number % 256]), number)
-
-    blocks = list(_text.in_blocks(rows()))
-    assert [len(block) for block in blocks] == [_text._BLOCK, _text._BLOCK, 1]
-    frames = np.concatenate(blocks)
-    assert (frames["ts"] == np.arange(count)).all()
-    assert (frames["data"][:, 0] == np.arange(count) % 256).all()
+        parse_seconds(text)
 
 
 def test_lines_have_the_numbers_of_an_editor() -> None:
-    file = io.BytesIO(b"\xef\xbb\xbffirst\r\n\n  \nfourth")
-    assert list(_text.lines(file, "x", Unkept())) == [(1, "first"), (4, "fourth")]
+    with pytest.raises(FormatError, match=r"^x\.log, line 5: 'fourth'"):
+        read_text(b"\xef\xbb\xbf" + LINE.strip() + b"\r\n\n  \n" + LINE + b"fourth\n", "candump")
 
 
 def test_blanks_of_other_scripts_are_no_blanks() -> None:
-    file = io.BytesIO("\u2003first\u2003\n\x1c\n".encode())
-    assert list(_text.lines(file, "x", Unkept())) == [(1, "\u2003first\u2003"), (2, "\x1c")]
+    with pytest.raises(FormatError, match="line 1: "):
+        read_text("\u2003(1.0) can0 123#\n".encode(), "candump")
 
 
 @pytest.mark.parametrize("count", [1, 64, 4096])
 def test_nuls_at_the_end_are_counted(count: int) -> None:
-    unkept = Unkept()
-    file = io.BytesIO(b"first\n" + bytes(count))
-    assert list(_text.lines(file, "x", unkept)) == [(1, "first")]
-    assert unkept.remarks() == [
-        f"ends in {count:,} NUL bytes; was the power cut? Frames may be missing"
-    ]
+    frames, told = read_text(LINE + bytes(count), "candump")
+    assert len(frames) == 1
+    assert told == [f"ends in {count:,} NUL bytes; was the power cut? Frames may be missing"]
 
 
-@pytest.mark.parametrize("raw", [b"first\0\0", b"\0\0\nfirst\n", b"first\n\0\0\n"])
+@pytest.mark.parametrize("raw", [b"\0\0\n" + LINE, LINE + b"\0\0\n" + LINE])
 def test_nuls_elsewhere_are_text(raw: bytes) -> None:
-    unkept = Unkept()
-    texts = [text for _, text in _text.lines(io.BytesIO(raw), "x", unkept)]
-    assert "\0\0" in "".join(texts)
-    assert unkept.remarks() == []
+    with pytest.raises(FormatError):
+        read_text(raw, "candump")
 
 
 def test_bytes_that_are_no_text_are_named_by_their_line() -> None:
     with pytest.raises(FormatError, match=r"^x\.log, line 2: .* is it raw bytes\?$"):
-        list(_text.lines(io.BytesIO(b"good\n\xaa\x55\xff\n"), "x.log", Unkept()))
+        read_text(LINE + b"\xaa\x55\xff\n", "candump")
+
+
+def test_a_last_line_that_is_cut_is_left_out_and_told() -> None:
+    frames, told = read_text(LINE * 3 + b"(1.0) can0 12", "candump")
+    assert len(frames) == 3
+    assert told == ["the last line is cut off, and left out"]
+    # A file of this line alone is of another format.
+    with pytest.raises(FormatError, match="line 1: "):
+        read_text(b"(1.0) can0 12", "candump")
+
+
+def test_bad_lines_are_counted_on_request() -> None:
+    raw = LINE + b"bad\n" + LINE * 2 + b"worse\n"
+    frames, told = read_text(raw, "candump", skip_bad=True)
+    assert len(frames) == 3
+    assert told[0].startswith("lines that cannot be read, left out: 2; the first is line 2: 'bad'")
+
+
+def test_differences_are_added_up_on_request() -> None:
+    raw = b"".join(b"(%d.5) can0 123#\n" % (number % 3) for number in range(30))
+    assert read_text(raw, "candump")[1] == []  # too few to tell
+    _, told = read_text(raw * 2, "candump")
+    assert told[0].startswith("times go back 19 times; if they are differences, times='delta'")
+    frames, told = read_text(raw, "candump", times="delta")
+    assert [frame.ts for frame in frames[:4]] == [
+        SECOND // 2,
+        2 * SECOND,
+        9 * SECOND // 2,
+        5 * SECOND,
+    ]
+    assert told == []

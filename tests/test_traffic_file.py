@@ -33,8 +33,8 @@ FRAMES = vehicle(0.5)
 SEEED = canser.encode(FRAMES, "seeed")
 
 # What was sent to a vehicle as thousands of false frames.
-ASC = "date Thu Nov 26 09:00:07.902 2026\nbase hex  timestamps absolute\n" + "".join(
-    f"{number / 1000:.6f} 1  {0x100 + number % 50:X}             Rx   d 8 11 22 33 44 55 66 77 88\n"
+BUSMASTER = "***BUSMASTER Ver 2.4.0***\n***PROTOCOL CAN***\n" + "".join(
+    f"15:33:5{number % 10}:{number:04} Rx 1 0x{0x100 + number % 50:X} s 8 11 22 33 44 55 66 77 88\n"
     for number in range(2000)
 )
 
@@ -61,8 +61,8 @@ NOISE = np.random.default_rng(1).bytes(20_000)
 
 # The bytes of a file with an unknown suffix, the port's protocol, the exit code and the message.
 REFUSED = {
-    "an ASC log": (ASC.encode(), "serial", BAD_DATA, "is a Vector ASC log, not raw bytes"),
-    "an ASC log in cantalope": (ASC.encode(), "cantalope", BAD_DATA, "is a Vector ASC log"),
+    "BUSMASTER": (BUSMASTER.encode(), "serial", BAD_DATA, "is a BUSMASTER log, not raw bytes"),
+    "BUSMASTER in cantalope": (BUSMASTER.encode(), "cantalope", BAD_DATA, "is a BUSMASTER log"),
     "gzip": (gzip.compress(SEEED), "seeed", BAD_DATA, "packed by gzip"),
     "BLF": (b"LOGG" + NOISE, "cantalope", BAD_DATA, "BLF"),
     "another protocol": (SEEED, "serial", BAD_DATA, "look like seeed (100%), not like serial"),
@@ -155,11 +155,11 @@ def test_a_pipe_is_judged_block_by_block(tmp_path: Path, device: "Device", proto
 def test_a_pipe_of_another_format_sends_nothing(
     tmp_path: Path, device: "Device", protocol: str
 ) -> None:
-    (tmp_path / "run.asc").write_text(ASC)
+    (tmp_path / "run.txt").write_text(BUSMASTER)
     call = ("play", "-", "-c", "dev", "-p", protocol)
-    with (tmp_path / "run.asc").open("rb") as file, running(tmp_path, *call, stdin=file) as run:
+    with (tmp_path / "run.txt").open("rb") as file, running(tmp_path, *call, stdin=file) as run:
         assert run.end() == BAD_DATA
-    assert "Vector ASC" in run.err[-1]
+    assert "BUSMASTER" in run.err[-1]
     assert not device.hears()
 
 

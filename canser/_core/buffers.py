@@ -55,7 +55,7 @@ NULL: Final[Pointer] = ffi.NULL
 
 def input_bytes(data: BytesLike) -> Pointer:
     """Return a pointer to the caller's bytes, no copy; it holds the buffer."""
-        # The common case, in which there is nothing to check.
+    # The common case, in which there is nothing to check.
     if type(data) is bytes:
         return ffi.from_buffer("uint8_t[]", data)
     view = _check_bytes(data)

@@ -10,7 +10,7 @@ __all__ = ["COMMANDS"]
 
 # The name and the help of each command, in the order of the help.
 COMMANDS: Final = {
-    "convert": "convert raw bytes or a recording to .npy, .csv or candump .log, and back",
+    "convert": "convert files of any format to any other",
     "info": "show frames, times, ids, rates and skipped bytes; without -p, find the protocol",
     "dump": "print frames in the format of candump",
     "log": "record the bytes of a port, with their times, in pcapng files",

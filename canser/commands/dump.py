@@ -45,9 +45,9 @@ def add(commands: Commands) -> None:
 def run(args: argparse.Namespace) -> int:
     chosen = selection(args)
     with open_source(args) as source, standard_output() as out:
-        dump = Dump(args.stamps)
-        for frames in chosen.apply(source):
-            out.write(dump.text(frames))
+        dump = Dump(args.stamps, source.keep_tags())
+        for frames, channels, directions in chosen.apply(source.tagged()):
+            out.write(dump.text(frames, channels, directions))
             out.flush()
         stats = source.stats
     if stats is not None and (stats.bytes_skipped or stats.controls):

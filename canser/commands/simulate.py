@@ -76,7 +76,7 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--traffic",
         metavar="FILE",
-        help="file of frames to send, .log, .csv or .npy, or raw bytes of the protocol; - for "
+        help="file of frames to send, of any format, or raw bytes of the protocol; - for "
         "standard input (default: generated traffic of a vehicle, until Ctrl-C)",
     )
     bus_argument(parser)

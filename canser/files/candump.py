@@ -1,4 +1,4 @@
-"""candump's log format, as `candump -L` writes and canplayer reads.
+"""The formats of can-utils' candump: its log, as `candump -L` writes, and its screen.
 
     (1544106679.432583) can0 562#122DF953813CA2
     (1544106679.432600) can0 18FEF100#            extended: eight digits
@@ -8,33 +8,39 @@
     (1544106679.432640) can1 123#0011223344556677_E   a raw dlc of 9 to 15 (F)
     # a comment
 
+     (2018-12-06 14:31:19.432583)  can0  123   [2]  11 22   '."'
+    can0  RX - -  18FEF100   [8]  remote request
+    <0x18eeff01> [8] 05 a0 be 1c 00 a0 a0 c0      before can-utils; no channel
+
 Source: can-utils, `candump` and the frame notation of its `lib.c`.
 
-FRAME_DTYPE has no field for the channel, the direction and the raw dlc. If lines differ in them,
-the reader reports how many frames there were of each.
+FRAME_DTYPE has no field for a raw dlc: the reader counts such frames. Lines of CAN FD and CAN XL
+are counted, and left out.
 
 An error frame has eight digits because of its flag. So a log does not say whether an error frame
 with an id up to 0x7FF is extended. Times have six decimal places: a part under a microsecond is
 cut, and a time that is not known is written as 0. `Writer` counts both.
 """
 
+import datetime as dt
 import re
-from collections.abc import Iterator
-from functools import partial
+from collections.abc import Mapping
 from typing import BinaryIO, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from canser import _notation
-from canser._frames import NO_TIME, FrameArray
+from canser._core.text import Codes, TextWriter
+from canser._frames import NO_TIME, FrameArray, copy_records
 from canser._input import Input
-from canser._rows import Row
-from canser.errors import FormatError
-from canser.files import _text
-from canser.files._remarks import AddRemark, Unkept, report_remarks
+from canser._rows import check_row
+from canser.files.dates import to_ns
 from canser.files.foreign import is_text
-from canser.files.reader import DecodedReader, Reader, ReadOptions
+from canser.files.lines import Line, LineReader
+from canser.files.reader import Reader, ReadOptions
+from canser.files.seconds import parse_seconds
+from canser.files.tags import printable
 from canser.files.writer import WriteOptions
 
 about: Final = "a candump log"
@@ -47,51 +53,157 @@ cannot_hold: Final = (
     "whether an error frame is extended, where its id is up to 0x7FF",
 )
 
-# Groups: the time, the channel, the groups of the frame's notation, the direction.
-_LINE = re.compile(
+# A line of a log. Groups: the time, the channel, the groups of the frame's notation, the direction.
+_LINE: Final = re.compile(
     r"\((-?[0-9]+(?:\.[0-9]+)?)\)[ \t]+([^\s\0-\x1f\x7f]+)[ \t]+"
     rf"{_notation.PATTERN}(?:[ \t]+([RT]))?"
 )
 
+# A line of CAN FD; and of CAN XL, which has a priority of five digits before the first #.
+_FD: Final = re.compile(
+    r"\([-0-9.]+\)[ \t]+\S+[ \t]+[0-9A-Fa-f]{3,8}##[0-9A-Fa-f.]+(?:[ \t]+[RT])?"
+)
+_XL: Final = re.compile(
+    r"\([-0-9.]+\)[ \t]+\S+[ \t]+[0-9A-Fa-f]{5}#[0-9A-Fa-f:.]+#[0-9A-Fa-f.]*(?:[ \t]+[RT])?"
+)
 
-# The start of a line, up to the "#" of its frame.
+# A line of the screen. Groups: date, time, channel, direction, id, length in brackets, the rest.
+_SCREEN: Final = re.compile(
+    r"(?:\((?:([0-9]{4}-[0-9]{2}-[0-9]{2})[ _T])?(-?[0-9:]+(?:\.[0-9]+)?)\)[ \t]+)?"
+    r"(?:([^\s\0-\x1f\x7f]+)[ \t]+)?(?:([RT]X)[ \t]+\S+[ \t]+\S+[ \t]+)?"
+    r"(?:<0x([0-9A-Fa-f]{3,8})>|([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}))[ \t]+"
+    r"\[([0-9]{1,2})\](?:[ \t]+(.*))?"
+)
+_BYTE: Final = re.compile(r"(?<![^ \t])[0-9A-Fa-f]{2}(?![^ \t])")
+
+# The start of a line of a log, up to the "#" of its frame, and a line of the screen, up to the
+# length in brackets.
 _BEGIN: Final = re.compile(rb"^\(\d+\.\d+\) +\S+ +[0-9A-Fa-f]+#", re.MULTILINE)
+_BEGIN_SCREEN: Final = re.compile(
+    rb"^ *(?:\([-0-9:. _T]+\) +)?(?:[\w.-]+ +)?(?:[RT]X +\S+ +\S+ +)?"
+    rb"(?:<0x[0-9A-Fa-f]+>|[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) +\[\d+\](?: |$)",
+    re.MULTILINE,
+)
 
 
 def sniff(head: bytes) -> bool:
-    """Return whether the first bytes of a file have the start of a log's line."""
-    return is_text(head, least=1) and bool(_BEGIN.search(head))
+    """Return whether the first bytes of a file have the start of a line of a log or a screen."""
+    return is_text(head, least=1) and bool(_BEGIN.search(head) or _BEGIN_SCREEN.search(head))
 
 
 def read(source: Input, options: ReadOptions) -> Reader:
     """Open a log."""
-    return DecodedReader(source, options, partial(parse, bus=options.bus), has_buses=True)
+    return _LogReader(source, options)
 
 
-def write(file: BinaryIO, options: WriteOptions) -> "Writer":  # noqa: ARG001 - as every format
+def write(file: BinaryIO, options: WriteOptions) -> "Writer":
     """Begin a log."""
-    return Writer(file)
+    return Writer(file, options.channel_names)
+
+
+class _LogReader(LineReader):
+    format = "candump"
+
+    def __init__(self, source: Input, options: ReadOptions) -> None:
+        super().__init__(source, options)
+        self._raw_dlcs = 0  # frames with a raw dlc of 9 to 15, which is 8 bytes
+
+    def _parse(self, text: str) -> Line | None:
+        found = _LINE.fullmatch(text)
+        if found:
+            ts, channel, *notation, raw_dlc, direction = found.groups()
+            row = _notation.groups_to_row((*notation, raw_dlc), parse_seconds(ts))
+            self._raw_dlcs += bool(raw_dlc)
+            return Line(row, channel, direction)
+        if text.startswith(("#", "interface = ")):
+            return None
+        if _FD.fullmatch(text):
+            self._c.state.fd_count += 1
+            return None
+        if _XL.fullmatch(text):
+            self._xl_count += 1
+            return None
+        found = _SCREEN.fullmatch(text)
+        if not found:
+            raise ValueError(
+                f"{text[:60]!r} is {_notation.not_read(text)}; canser reads lines such as "
+                "(1544106679.432583) can0 562#122DF953"
+            )
+        return self._screen_line(found)
+
+    def _screen_line(self, found: re.Match[str]) -> Line | None:
+        date, time, channel, direction, old_digits, digits, length, rest = found.groups()
+        if len(length) == 2:  # candump writes [08] for CAN FD, and [8] for classic CAN
+            self._c.state.fd_count += 1
+            return None
+        number, dlc = int(old_digits or digits, 16), int(length)
+        # An old line has as many digits as the id needs.
+        ext = number > 0x7FF if old_digits else len(digits) == 8
+        err = ext and bool(number & _notation.ERR_FLAG)
+        if err:
+            number &= 0x1FFF_FFFF
+            ext = number > 0x7FF
+        rtr = (rest or "").startswith("remote request")
+        # Behind the bytes may stand their text, such as 'AB CD'.
+        data = b"" if rtr else bytes.fromhex("".join(_BYTE.findall(rest or "")[:dlc]))
+        if time is None:
+            ts = NO_TIME
+        elif date is None:
+            ts = parse_seconds(time)
+        else:
+            ts = to_ns(dt.date.fromisoformat(date), time, self._options.tz)
+        return Line(check_row((number, ext, rtr, dlc, err, data, ts)), channel, direction)
+
+    @property
+    def remarks(self) -> list[str]:
+        remarks = super().remarks
+        if self._raw_dlcs:
+            remarks.append(f"raw dlcs of 9 to 15 become 8: {self._raw_dlcs:,}")
+        return remarks
+
+
+class _Lines(TextWriter):
+    """Lines of a log, with the names of channels, to which more may be added."""
+
+    def __init__(self, names: Mapping[int, str] | None) -> None:
+        super().__init__("candump")
+        self._names = {} if names is None else names
+        self._named = 0  # names that C knows
+        self.renamed: list[str] = []  # names that lines cannot have
+
+    def add_names(self) -> None:
+        """Take the names that were added since the last call."""
+        for code, name in list(self._names.items())[self._named :]:
+            self._named += 1
+            if not self.add_name(name, code):
+                self.renamed.append(f"{printable(name)} is can{code}")
 
 
 class Writer:
     """Write frames as lines of a log."""
 
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self.ts_cut = 0  # frames whose time lost a part under a microsecond
-        self.ts_unknown = 0  # frames whose time is not known, written as 0
+    takes_tags = True
 
-    def write(self, frames: FrameArray) -> None:
+    def __init__(self, file: BinaryIO, names: Mapping[int, str] | None = None) -> None:
+        self._file, self._lines = file, _Lines(names)
+
+    def write(
+        self, frames: FrameArray, channels: Codes | None = None, directions: Codes | None = None
+    ) -> None:
         """Append frames."""
-        self._file.write(self.text(frames))
+        self._lines.add_names()
+        for part in self._lines.lines(frames, channels, directions):
+            self._file.write(part)
 
-    def text(self, frames: FrameArray) -> bytes:
-        """Return frames as lines."""
-        unknown = frames["ts"] == NO_TIME
-        ts = np.where(unknown, 0, frames["ts"])
-        self.ts_unknown += int(unknown.sum())
-        self.ts_cut += int((ts % 1000 != 0).sum())
-        return _lines(frames, _text.seconds(ts, 6))
+    @property
+    def ts_cut(self) -> int:
+        """Frames whose time lost a part under a microsecond."""
+        return int(self._lines.state.cut_times)
+
+    @property
+    def ts_unknown(self) -> int:
+        """Frames whose time is not known, written as 0."""
+        return int(self._lines.state.unknown_times)
 
     def finish(self) -> list[str]:
         """Return what a log could not hold."""
@@ -99,30 +211,9 @@ class Writer:
             "frames without a time, written as 0": self.ts_unknown,
             "times cut to the microsecond": self.ts_cut,
         }
-        return [f"{what}: {count:,}" for what, count in remarks.items() if count]
-
-
-def _lines(frames: FrameArray, times: _text.Column) -> bytes:
-    """Return frames as lines, with these times."""
-    err = frames["err"]
-    long = frames["ext"] | err
-    flagged: npt.NDArray[np.uint32] = frames["id"] | err * np.uint32(_notation.ERR_FLAG)
-    ids = _text.hexadecimal(flagged, 8)
-    ids[:, :5][~long] = 0
-    remote = np.zeros((len(frames), 2), np.uint8)
-    remote[frames["rtr"], 0] = ord("R")
-    remote[:, 1] = np.where(frames["rtr"], frames["dlc"] + ord("0"), 0)
-    return _text.join(
-        len(frames),
-        b"(",
-        times,
-        b") can0 ",
-        ids,
-        b"#",
-        remote,
-        _text.payload(frames),
-        b"\n",
-    )
+        names = ", ".join(self._lines.renamed[:16])
+        renamed = [f"channels with other names: {names}"] if names else []
+        return [*(f"{what}: {count:,}" for what, count in remarks.items() if count), *renamed]
 
 
 # How a time is shown, as the letters of `candump -t`: seconds, date and time of day, seconds since
@@ -133,19 +224,23 @@ STAMPS: Final = ("a", "A", "d", "z")
 class Dump:
     """Shows frames as lines, with times as `candump -t` has them."""
 
-    def __init__(self, stamps: str) -> None:
+    def __init__(self, stamps: str, names: Mapping[int, str] | None = None) -> None:
         self._stamps = stamps
         self._last_ns = NO_TIME  # time of the frame before; with "z" of the first frame
+        self._lines = _Lines(names)
+        self._lines.state.is_dated = stamps == "A"
 
-    def text(self, frames: FrameArray) -> bytes:
+    def text(
+        self, frames: FrameArray, channels: Codes | None = None, directions: Codes | None = None
+    ) -> bytes:
         """Return frames as lines; a time that is not known is shown as 0."""
-        unknown = frames["ts"] == NO_TIME
-        ts = np.where(unknown, 0, frames["ts"])
-        if self._stamps == "A":
-            return _lines(frames, _dates(ts))
-        if self._stamps != "a":
-            ts = self._since(ts, unknown)
-        return _lines(frames, _text.seconds(ts, 6))
+        if self._stamps in ("d", "z"):
+            unknown = frames["ts"] == NO_TIME
+            since = self._since(frames["ts"], unknown)
+            frames = copy_records(frames)
+            frames["ts"] = since
+        self._lines.add_names()
+        return b"".join(map(bytes, self._lines.lines(frames, channels, directions)))
 
     def _since(
         self, ts: npt.NDArray[np.int64], unknown: npt.NDArray[np.bool_]
@@ -162,59 +257,3 @@ class Dump:
             since[~unknown] = np.diff(known, prepend=self._last_ns)
             self._last_ns = int(known[-1])
         return since
-
-
-def _dates(ts: npt.NDArray[np.int64]) -> _text.Column:
-    """Return times as dates and times of day, UTC, with six decimal places."""
-    texts = np.datetime_as_string(ts.view("M8[ns]"), unit="us").astype("S")
-    width = texts.dtype.itemsize
-    column = np.frombuffer(texts.tobytes(), np.uint8).reshape(len(ts), width).copy()
-    column[column == ord("T")] = ord(" ")
-    return column
-
-
-def parse(
-    file: BinaryIO, name: str, add_remark: AddRemark | None = None, bus: str | None = None
-) -> Iterator[FrameArray]:
-    """Yield the frames of a log, block by block.
-
-    FormatError names the first line that is no frame of classic CAN.
-
-    Parameters
-    ----------
-    file
-        A file that is open for reading bytes.
-    name
-        Name of the file in messages.
-    add_remark
-        Called at the end with each remark on what the log says and the frames do not hold. Without
-        it, each remark is a CanserWarning.
-    bus
-        Channel to read, None for all.
-    """
-    unkept = Unkept(bus)
-    yield from _text.in_blocks(_rows(file, name, unkept))
-    unkept.check_bus(name)
-    report_remarks(unkept.remarks(), name, add_remark)
-
-
-def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[Row]:
-    for number, text in _text.lines(file, name, unkept):
-        found = _LINE.fullmatch(text)
-        if not found:
-            if text.startswith("#"):
-                continue
-            raise FormatError(
-                f"{name}, line {number}: {text[:60]!r} is {_notation.not_read(text)}; "
-                "canser reads lines such as (1544106679.432583) can0 562#122DF953"
-            )
-        ts, channel, *notation, raw_dlc, direction = found.groups()
-        if unkept.is_other_bus(channel):
-            continue
-        try:
-            yield _notation.groups_to_row((*notation, raw_dlc), _text.parse_seconds(ts))
-        except ValueError as error:
-            raise FormatError(f"{name}, line {number}: {error}") from None
-        unkept.add(channel, direction or "")
-        if raw_dlc:
-            unkept.raw_dlcs += 1

@@ -8,39 +8,42 @@ base64. Source: python-can, `can.io.csv`.
 
 Times are exact: they have six decimal places, or nine if a frame's time has nanoseconds. The
 reader finds columns by their names, so they may be in any order. There may be more columns; the
-reader reports which it does not read. python-can 2.0 and 2.1 wrote the header as
+reader reports which it does not read. A dlc over 8 is the only mark of a CAN FD frame: such rows
+are counted, and left out. python-can 2.0 and 2.1 wrote the header as
 `timestamp, arbitration id, extended, remote, error, dlc, data`.
 """
 
 import base64
 import csv
 import re
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable
 from typing import Any, BinaryIO, Final
 
-import numpy as np
-
-from canser._frames import NO_TIME, FrameArray
+from canser._core.text import TextWriter
+from canser._frames import FrameArray
 from canser._input import Input
 from canser._rows import Row, check_row
 from canser.errors import FormatError
-from canser.files import _text
-from canser.files._remarks import AddRemark, Unkept, report_remarks
 from canser.files.foreign import is_text
-from canser.files.reader import DecodedReader, Reader, ReadOptions
+from canser.files.lines import BLANKS, Line, LineReader
+from canser.files.reader import Reader, ReadOptions
+from canser.files.seconds import parse_seconds
+from canser.files.tags import printable
 from canser.files.writer import WriteOptions
 
 about: Final = "a CSV file of python-can"
 
 suffixes: Final = (".csv",)
 
-cannot_hold: Final = ()
+cannot_hold: Final = ("the channel", "the direction")
 
 COLUMNS: Final = ("timestamp", "arbitration_id", "extended", "remote", "error", "dlc", "data")
 
-# Columns that FRAME_DTYPE has no field for. The frames of each value are counted.
-_COUNTED: Final = ("channel", "direction")
+# Columns that FRAME_DTYPE has no field for.
+_TAGS: Final = ("channel", "direction")
+
+# Columns without a meaning that a remark names.
+_NAMED_MOST: Final = 16
 
 # More digits than an id or a dlc has, so that a number too large is reported as such; and few
 # enough for a message.
@@ -48,10 +51,6 @@ _HEXADECIMAL: Final = re.compile("(?:0[xX])?[0-9A-Fa-f]{1,16}")
 _WHOLE: Final = re.compile("-?[0-9]{1,16}")
 
 _FLAGS: Final = {"0": False, "1": True, "false": False, "true": True}
-
-_BASE64: Final = np.frombuffer(
-    b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/", np.uint8
-)
 
 
 def sniff(head: bytes) -> bool:
@@ -61,7 +60,7 @@ def sniff(head: bytes) -> bool:
 
 def read(source: Input, options: ReadOptions) -> Reader:
     """Open a file."""
-    return DecodedReader(source, options, partial(parse, bus=options.bus), has_buses=True)
+    return _CsvReader(source, options)
 
 
 def write(file: BinaryIO, options: WriteOptions) -> "Writer":  # noqa: ARG001 - as every format
@@ -74,128 +73,75 @@ class Writer:
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
+        self._lines = TextWriter("csv")
         self._file.write(",".join(COLUMNS).encode() + b"\n")
 
     def write(self, frames: FrameArray) -> None:
         """Append frames."""
-        unknown = frames["ts"] == NO_TIME
-        ts = np.where(unknown, 0, frames["ts"])
-        time = _text.seconds(ts, 9)
-        time[ts % 1000 == 0, -3:] = 0
-        time[unknown] = 0
-        time[unknown, :3] = np.frombuffer(b"nan", np.uint8)
-        flags = [(frames[name] + ord("0"))[:, None] for name in ("ext", "rtr", "err", "dlc")]
-        ext, rtr, err, dlc = (flag.astype(np.uint8) for flag in flags)
-        digits = _text.hexadecimal(frames["id"], 8)
-        digits += (digits > ord("9")).astype(np.uint8) * 32  # lower case, as hex() writes
-        leading = np.cumsum(digits != ord("0"), axis=1) == 0
-        leading[:, -1] = False
-        digits[leading] = 0
-        line = _text.join(
-            len(frames),
-            time,
-            b",0x",
-            digits,
-            b",",
-            ext,
-            b",",
-            rtr,
-            b",",
-            err,
-            b",",
-            dlc,
-            b",",
-            _base64(frames),
-            b"\n",
-        )
-        self._file.write(line)
+        for part in self._lines.lines(frames, None, None):
+            self._file.write(part)
 
     def finish(self) -> list[str]:
         """Return no remarks: the file holds everything."""
         return []
 
 
-def _base64(frames: FrameArray) -> _text.Column:
-    """Return the data up to the dlc in base64: 12 characters, padded by `=`, then by zeros."""
-    length = _text.payload_len(frames)[:, None]
-    data = np.zeros((len(frames), 9), np.uint8)
-    data[:, :8] = np.where(np.arange(8) < length, frames["data"], 0)
-    groups = data.reshape(-1, 3, 3).astype(np.uint32)
-    bits = groups[:, :, 0] << 16 | groups[:, :, 1] << 8 | groups[:, :, 2]
-    text: _text.Column = _BASE64[bits[:, :, None] >> np.array([18, 12, 6, 0]) & 63].reshape(-1, 12)
-    place = np.arange(12)
-    text[place >= (length * 4 + 2) // 3] = ord("=")
-    text[place >= (length + 2) // 3 * 4] = 0
-    return text
+class _CsvReader(LineReader):
+    format = "csv"
 
+    def __init__(self, source: Input, options: ReadOptions) -> None:
+        super().__init__(source, options)
+        self._names: list[str] = []  # of the columns; empty before the header
 
-def parse(
-    file: BinaryIO, name: str, add_remark: AddRemark | None = None, bus: str | None = None
-) -> Iterator[FrameArray]:
-    """Yield the frames of a file, block by block.
-
-    FormatError names the first line that is no frame, or the columns that are missing.
-
-    Parameters
-    ----------
-    file
-        A file that is open for reading bytes.
-    name
-        Name of the file in messages.
-    add_remark
-        Called at the end with each remark on what the file says and the frames do not hold.
-        Without it, each remark is a CanserWarning.
-    bus
-        Channel to read, None for all.
-    """
-    unkept = Unkept(bus)
-    yield from _text.in_blocks(_rows(file, name, unkept))
-    unkept.check_bus(name)
-    report_remarks(unkept.remarks(), name, add_remark)
-
-
-def _rows(file: BinaryIO, name: str, unkept: Unkept) -> Iterator[Row]:
-    numbered = _text.lines(file, name, unkept)
-    try:
-        first, header = next(numbered)
-    except StopIteration:
-        return
-    try:
-        names = _names(header)
-    except (ValueError, csv.Error) as error:
-        raise FormatError(f"{name}, line {first}: {error}") from None
-    missing = [column for column in COLUMNS if column not in names]
-    if missing:
-        raise FormatError(
-            f"{name}: no column {', '.join(missing)}; the first line must name {','.join(COLUMNS)}"
-        )
-    if unkept.bus is not None and "channel" not in names:
-        raise FormatError(f"{name}: no column channel names the bus; leave the bus out")
-    places = [names.index(column) for column in COLUMNS]
-    channel, direction = (names.index(each) if each in names else None for each in _COUNTED)
-    unkept.columns = [each for each in names if each not in COLUMNS and each not in _COUNTED]
-    for number, text in numbered:
+    def _parse(self, text: str) -> Line | None:
         try:
-            fields = next(csv.reader([text], strict=True, skipinitialspace=True))
-            if len(fields) != len(names):
-                raise ValueError(f"{len(fields)} fields where the header has {len(names)}")
-            if unkept.is_other_bus(None if channel is None else fields[channel]):
-                continue
-            yield check_row(_row([fields[place] for place in places]))
-        except (ValueError, csv.Error) as error:
-            raise FormatError(f"{name}, line {number}: {error}") from None
-        unkept.add(
-            None if channel is None else fields[channel],
-            None if direction is None else fields[direction],
-        )
+            if not self._names:
+                self._read_header(text)
+                return None
+            return self._read_fields(next(csv.reader([text], strict=True, skipinitialspace=True)))
+        except csv.Error as error:
+            raise ValueError(error) from None
+
+    def _read_header(self, text: str) -> None:
+        self._names = _names(text)
+        missing = [column for column in COLUMNS if column not in self._names]
+        name = self._source.name
+        if missing:
+            raise FormatError(
+                f"{name}: no column {', '.join(missing)}; the first line must name "
+                f"{','.join(COLUMNS)}"
+            )
+        if self._options.bus is not None and "channel" not in self._names:
+            raise FormatError(f"{name}: no column channel names the bus; leave the bus out")
+        self._in_c = tuple(self._names) == COLUMNS
+
+    def _read_fields(self, fields: list[str]) -> Line | None:
+        if len(fields) != len(self._names):
+            raise ValueError(f"{len(fields)} fields where the header has {len(self._names)}")
+        by_name = dict(zip(self._names, fields, strict=True))
+        if _WHOLE.fullmatch(by_name["dlc"]) and 8 < int(by_name["dlc"]) <= 64:
+            self._c.state.fd_count += 1
+            return None
+        row = check_row(_row([by_name[column] for column in COLUMNS]))
+        return Line(row, by_name.get("channel"), by_name.get("direction"))
+
+    @property
+    def remarks(self) -> list[str]:
+        remarks = super().remarks
+        others = [name for name in self._names if name not in COLUMNS and name not in _TAGS]
+        if others:
+            shown = [printable(name) for name in others[:_NAMED_MOST]]
+            more = ["and more"] if len(others) > _NAMED_MOST else []
+            remarks.append(f"columns that are not read: {', '.join([*shown, *more])}")
+        return remarks
 
 
 def _names(header: str) -> list[str]:
     """Return the names of the columns."""
     written = next(csv.reader([header], strict=True, skipinitialspace=True))
     # python-can 2.0 and 2.1 wrote "arbitration id", and a blank behind each comma.
-    names = [each.strip(_text.BLANKS).replace(" ", "_") for each in written]
-    for each in (*COLUMNS, *_COUNTED):
+    names = [each.strip(BLANKS).replace(" ", "_") for each in written]
+    for each in (*COLUMNS, *_TAGS):
         if names.count(each) > 1:
             raise ValueError(f"the column {each} is there {names.count(each)} times")
     return names
@@ -228,7 +174,7 @@ def _bytes(text: str) -> bytes:
 
 # For each column the function that reads it, and what a message says its text must be.
 _COLUMNS: Final[tuple[tuple[Callable[[str], Any], str], ...]] = (
-    (_text.parse_seconds, "a time in seconds"),
+    (parse_seconds, "a time in seconds"),
     (_hexadecimal, "a hexadecimal number"),
     (_flag, "0 or 1"),
     (_flag, "0 or 1"),

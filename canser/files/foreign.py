@@ -51,11 +51,12 @@ _MAGICS: Final = (
 _TEXTS: Final = tuple(
     (re.compile(pattern, re.MULTILINE), found)
     for pattern, found in (
-        (rb"^date .*\r?\n\s*base\s+(hex|dec)", Foreign("a Vector ASC log", _PYTHON_CAN)),
-        (rb"\A\s*;(\$FILEVERSION|##|---)", Foreign("a PCAN TRC log", _PYTHON_CAN)),
         (rb"\A@ TEXT @", Foreign("a CANHacker log", "CANHacker reads it")),
-        (rb"\A\*\*\*BUSMASTER", Foreign("a BUSMASTER log", "BUSMASTER reads it")),
-        (rb"\ATime Stamp,ID,", Foreign("a GVRET log of SavvyCAN", "SavvyCAN saves it as candump")),
+        (rb"\A\*\*\*BUSMASTER", Foreign("a BUSMASTER log", "BUSMASTER converts it to ASC")),
+        (
+            rb"Microchip Technology Inc\.[\s\S]*CAN BUS Analyzer",
+            Foreign("a log of Microchip's CAN BUS Analyzer", "SavvyCAN saves it as candump"),
+        ),
         (
             rb"\ATimestamp(Epoch)?[;,]Bus",
             Foreign("a CSV file of the CANedge", "pandas.read_csv reads it"),
@@ -63,10 +64,6 @@ _TEXTS: Final = tuple(
         (
             rb"\Aversion https://git-lfs",
             Foreign("a pointer of Git LFS", "'git lfs pull' fetches the file itself"),
-        ),
-        (
-            rb"^ *(\([^)]*\))? *\S+ +([RT]X +\S+ +\S+ +)?[0-9A-F]{3,8} +\[\d+\] ",
-            Foreign("what candump prints on a screen", "record it with 'candump -L'"),
         ),
     )
 )

@@ -25,7 +25,7 @@ from typing import Any, BinaryIO, Final
 
 from canser._input import Input
 from canser.errors import CanserWarning, ForeignFormatError
-from canser.files import candump, csv, npy, raw, recordings
+from canser.files import asc, candump, csv, gvret, npy, raw, recordings, trc
 from canser.files.foreign import HEAD_LEN, TEXT, recognise
 from canser.files.judge import is_auto
 from canser.files.reader import DecodedReader, Reader, ReadOptions
@@ -56,9 +56,12 @@ Format = Any
 BUILT_IN: Final[dict[str, Any]] = {
     RAW: raw,
     PCAPNG: recordings,
+    "asc": asc,
     "candump": candump,
     "csv": csv,
+    "gvret": gvret,
     "npy": npy,
+    "trc": trc,
 }
 
 
@@ -131,13 +134,16 @@ def find_format(name: str) -> Format:
 
 def format_of_name(path: str) -> str | None:
     """Return the name of the format that has the suffix of a file's name, None if none has."""
-    suffix = PurePath(path).suffix.lower()
-    for formats in (BUILT_IN, _all()):
-        for name, each in formats.items():
-            if suffix and suffix in each.suffixes:
-                return name
-        if not suffix:
-            break
+    file_name = PurePath(path).name.lower()
+    for formats in (BUILT_IN, _all() if "." in file_name else {}):
+        found = [
+            (len(suffix), -place, name)
+            for place, (name, each) in enumerate(formats.items())
+            for suffix in each.suffixes
+            if file_name.endswith(suffix) and file_name != suffix
+        ]
+        if found:  # the longest suffix, such as .gvret.csv; of equal ones that of the first format
+            return max(found)[2]
     return None
 
 

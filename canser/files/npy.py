@@ -15,8 +15,8 @@ from numpy.lib import format as npy
 from canser._frames import FRAME_DTYPE, FrameArray, reason_invalid
 from canser._input import Input
 from canser.errors import FormatError
-from canser.files._remarks import AddRemark, report_remarks
 from canser.files.reader import DecodedReader, Reader, ReadOptions
+from canser.files.remarks import AddRemark, report_remarks
 from canser.files.writer import WriteOptions
 
 about: Final = "a .npy file of numpy"

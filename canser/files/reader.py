@@ -3,13 +3,16 @@
 import io
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import datetime, tzinfo
 from typing import BinaryIO, cast
 
 from canser._core.buffers import Offsets
+from canser._core.text import Codes
 from canser._frames import FrameArray, put_records
 from canser._input import Input
 from canser.codec.decoder import Decoder
-from canser.files._remarks import AddRemark
+from canser.files.remarks import AddRemark
+from canser.files.tags import Tagged
 from canser.recording.header import RecordingInfo
 
 __all__ = ["DecodedReader", "Parse", "ReadOptions", "Reader", "refill"]
@@ -30,6 +33,16 @@ class ReadOptions:
     as_is: bool = False
     #: Channel to read from a log of several buses, such as "can0"; None for all.
     bus: str | None = None
+    #: Whether lines that cannot be read are left out and counted; otherwise they are an error.
+    skip_bad: bool = False
+    channels: Codes | None = None
+    directions: Codes | None = None
+    #: Time to add to all times: "file" for the file's own start.
+    epoch: str | datetime | None = None
+    #: "delta" if times are differences, to be added up; None if they are times.
+    times: str | None = None
+    #: Time zone of dates without one; None for local time.
+    tz: tzinfo | None = None
     #: Whether `protocol` and `ts_unit` are for raw bytes only, and a recording keeps its own.
     raw_only: bool = False
 
@@ -49,6 +62,13 @@ class Reader:
         Bytes of the file that were read.
     has_buses : bool
         Whether the format names the bus of each frame.
+    tags : Tagged
+        The current block, with the channels and directions of its frames.
+    channel_names : dict
+        The names of channels by their codes, as the file has them.
+    start_ns : int or None
+        The time from which the times of frames count, in nanoseconds since 1970; None if it is not
+        known, and for times that count from 1970.
     """
 
     decoder: Decoder | None = None
@@ -56,6 +76,9 @@ class Reader:
     found = ""
     bytes_done = 0
     has_buses = False
+    tags: Tagged | None = None
+    channel_names: dict[int, str] = {}  # noqa: RUF012 - never changed here
+    start_ns: int | None = None
 
     def blocks(self, ends: Callable[[], bool]) -> Iterator[FrameArray]:
         """Yield the frames, block by block.
@@ -71,6 +94,20 @@ class Reader:
     @property
     def remarks(self) -> list[str]:
         """Remarks about the file so far: what is damaged, lost, or no frame."""
+        return []
+
+    def name_of(self, code: int) -> str:
+        """Return the name of a channel as the file has it."""
+        return self.channel_names.get(code, "not told")
+
+    @property
+    def channels(self) -> list[int]:
+        """The codes of the channels so far."""
+        return []
+
+    @property
+    def tag_remarks(self) -> list[str]:
+        """Remarks on channels and directions, for callers that keep only the frames."""
         return []
 
     @property

@@ -4,34 +4,61 @@ import contextlib
 import dataclasses
 import os
 import warnings
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from datetime import datetime, tzinfo
 from pathlib import Path
-from typing import Any, NamedTuple, Self, cast
+from typing import Any, Final, NamedTuple, Self, cast
 
 import numpy as np
 
-from canser._core.buffers import Offsets, output_offsets
+from canser._checks import instance
+from canser._core.buffers import Offsets, check_array, output_offsets
 from canser._core.stream import Control
-from canser._frames import FRAME_DTYPE, NO_TIME, YEAR_2000_NS, FrameArray, concat, copy_records
+from canser._core.text import NO_CHANNEL, Codes
+from canser._frames import (
+    FRAME_DTYPE,
+    NO_TIME,
+    YEAR_2000_NS,
+    FrameArray,
+    concat,
+    copy_records,
+    put_records,
+)
 from canser._guards import Uncopied
 from canser._input import Input, Source
 from canser._named import named
 from canser._protocols import protocols
 from canser.codec.decoder import Decoder, Stats, add_stats, check_threads
 from canser.errors import CanserWarning, FormatError
+from canser.files.dates import date_ns
 from canser.files.formats import choose_format, find_format
 from canser.files.judge import check_protocol
 from canser.files.raw import RawReader
-from canser.files.reader import Reader, ReadOptions, refill
+from canser.files.reader import Reader, ReadOptions
+from canser.files.tags import RECEIVED, Tagged
 from canser.recording.header import RecordingInfo
 
-__all__ = ["Blocks", "Notes", "Progress", "Source", "Sources", "blocks", "listed", "read"]
+__all__ = [
+    "START",
+    "Blocks",
+    "Notes",
+    "Progress",
+    "Source",
+    "Sources",
+    "blocks",
+    "checked_options",
+    "listed",
+    "read",
+]
 
 # Called after each block with the bytes done and the bytes in all, None if that is not known.
 Progress = Callable[[int, int | None], None]
 
 # One file, or several in their order.
 Sources = Source | Sequence[Source]
+
+# The epoch of `convert`: the start that a file names, nothing if it names none.
+START: Final = "start"
 
 # Frames in a block after sorting: 1.5 MiB of records.
 _SORTED_BLOCK = 1 << 16
@@ -83,6 +110,12 @@ def blocks(
     threads: int = 1,
     progress: Progress | None = None,
     bus: str | None = None,
+    channels: Codes | None = None,
+    directions: Codes | None = None,
+    times: str | None = None,
+    epoch: str | datetime | None = None,
+    tz: tzinfo | None = None,
+    skip_bad: bool = False,
     as_is: bool = False,
 ) -> "Blocks":
     """Read the frames of files of any size and format, block by block.
@@ -118,7 +151,26 @@ def blocks(
         Called after each block as `progress(bytes_done, bytes_total)`. `bytes_total` is None if
         it is not known.
     bus : str, optional
-        Channel to read from a log of several buses, such as "can0"; all channels by default.
+        Channel to read from a log of several buses, such as "can0" or "1", as the file has it; all
+        channels by default.
+    channels : array of uint8, shape (n,), optional
+        Together with `out`, and as long: filled with the channels of the frames, as numbers from 0;
+        255 if none is told. `Blocks.channel_names` has their names.
+    directions : array of uint8, shape (n,), optional
+        Together with `out`, and as long: filled with 1 for frames that the program sent which wrote
+        the file, else 0.
+    times : {None, "delta"}, optional
+        "delta" if the times in a text log are the differences between frames, as `candump -td`
+        writes them: they are added up. They are taken as times by default.
+    epoch : "file" or datetime, optional
+        Time to add to all times: "file" is the start that the file names, in a format whose times
+        count from there, such as "asc". A datetime without a zone is local time, or that of `tz`.
+        Times are as the file states them by default.
+    tz : datetime.tzinfo, optional
+        Time zone of dates in a file, which name none; local time by default.
+    skip_bad : bool, optional
+        Leave out the lines of a text log that cannot be read, and count them. They are an error by
+        default.
     as_is : bool, optional
         Read the bytes in the protocol given, whatever they look like: without a warning, and
         even if they are plainly another format, or a recording of another protocol. False by
@@ -173,9 +225,10 @@ def blocks(
     >>> counts
     {291: 2, 1110: 1}
     """
-    if offsets is not None and out is None:
-        raise ValueError("offsets goes with out: give both")
-    options = _checked(
+    for name, array in (("offsets", offsets), ("channels", channels), ("directions", directions)):
+        if array is not None and out is None:
+            raise ValueError(f"{name} goes with out: give both")
+    options = checked_options(
         format,
         protocol=protocol,
         ts_unit=ts_unit,
@@ -183,20 +236,45 @@ def blocks(
         offsets=offsets,
         threads=threads,
         bus=bus,
+        channels=channels,
+        directions=directions,
+        times=times,
+        epoch=epoch,
+        tz=tz,
+        skip_bad=skip_bad,
         as_is=as_is,
     )
     if out is not None:
         Decoder(protocols()[0]).feed_into(b"", out, offsets)
+        _check_codes(options, len(out))
     return Blocks(source, options, format=format, progress=progress, warns=True)
 
 
-def _checked(file_format: str | None, **given: Any) -> ReadOptions:
+def checked_options(file_format: str | None, **given: Any) -> ReadOptions:
     """Return the options. An invalid one is refused before a file is opened."""
     options = ReadOptions(**given)
+    if options.times not in (None, "delta"):
+        raise ValueError(f"unknown times {options.times!r}; have: None, 'delta'")
+    if options.tz is not None:
+        instance(options.tz, "tz", tzinfo)
+    if options.epoch not in (None, "file", START):
+        instance(options.epoch, "epoch", datetime)
     check_protocol(options.protocol, options.ts_unit)
     if file_format is not None:
         find_format(file_format)
     return dataclasses.replace(options, threads=check_threads(options.threads))
+
+
+def _check_codes(options: ReadOptions, least: int) -> None:
+    """Raise unless the arrays for channels and directions are such, and have room."""
+    for name in ("channels", "directions"):
+        array = getattr(options, name)
+        if array is not None:
+            check_array(array, name, (np.dtype(np.uint8),), "np.empty(n, np.uint8)")
+            if len(array) < least:
+                raise ValueError(
+                    f"{name} has room for {len(array)} frames; make it at least {least} long"
+                )
 
 
 class Blocks(Uncopied, Iterator[FrameArray]):
@@ -233,14 +311,22 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         progress: Progress | None = None,
         sort: bool = False,
         warns: bool = False,
+        keeps_tags: bool = False,
     ) -> None:
-        """Open files. With `warns` what is to be known of them is a warning, else only a note."""
+        """Open files.
+
+        With `warns` what is to be known of them is a warning, else only a note. With `keeps_tags`
+        the caller takes channels and directions: there is no note that they are lost.
+        """
         self.sources = listed(source)
         if len(self.sources) > 1:
             # Formats may mix: the protocol is that of the raw bytes among them.
             options = dataclasses.replace(options, raw_only=True)
         self._options, self._format, self._progress = options, format, progress
-        self._warns = warns
+        self._warns, self._keeps_tags = warns, keeps_tags
+        self._tags: Tagged | None = None  # the current block
+        self._count = 0  # frames of the blocks so far
+        self._starts: list[str] = []  # a remark for each file whose start was added to its times
         self._inputs: list[Input] = []
         self._readers: list[Reader] = []
         self._files: list[FilePart] = []
@@ -266,13 +352,15 @@ class Blocks(Uncopied, Iterator[FrameArray]):
     def __next__(self) -> FrameArray:
         try:
             self._begin()
-            block = next(self._blocks)
+            self._tags = next(self._blocks)
         except StopIteration:
             self.close()
             if self._warns and not self._options.as_is and (doubt := self.notes.doubt):
                 warnings.warn(f"{doubt}; as_is=True accepts them", CanserWarning, stacklevel=2)
             self._warns = False  # once
             raise
+        block = self._tags.frames
+        self._fill_codes(self._tags)
         if self._progress is not None:
             self._progress(self.bytes_done, self.bytes_total)
         # Otherwise a block that is far from full would keep the memory of a full one.
@@ -286,11 +374,73 @@ class Blocks(Uncopied, Iterator[FrameArray]):
             return copy_records(block)
         return block
 
+    def _fill_codes(self, tagged: Tagged) -> None:
+        """Fill the arrays that the caller gave for channels and directions."""
+        options, count = self._options, len(tagged.frames)
+        first = 0 if options.out is not None else self._count
+        self._count += count
+        for array, codes, unknown in (
+            (options.channels, tagged.channels, NO_CHANNEL),
+            (options.directions, tagged.directions, RECEIVED),
+        ):
+            if array is not None:
+                if self._count > len(array) and options.out is None:
+                    raise ValueError(
+                        f"channels or directions has room for {len(array)} frames; the files hold "
+                        "more"
+                    )
+                array[first : first + count] = unknown if codes is None else codes
+
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def tagged(self) -> Iterator[Tagged]:
+        """Yield the blocks with channels and directions, for this package's own use."""
+        for frames in self:
+            assert self._tags is not None
+            yield self._tags._replace(frames=frames)
+
+    @property
+    def channels(self) -> Codes | None:
+        """The channels of the current block's frames: uint8, numbers from 0, 255 for not told.
+
+        None if the format tells none, and before the first block.
+        """
+        return self._tags.channels if self._tags else None
+
+    @property
+    def directions(self) -> Codes | None:
+        """The directions of the current block's frames: uint8, 1 for sent, 0 for received.
+
+        None if the format tells none, and before the first block.
+        """
+        return self._tags.directions if self._tags else None
+
+    @property
+    def channel_names(self) -> Mapping[int, str]:
+        """The names of the channels so far by their numbers, as the current file has them."""
+        reader = self._begin()
+        return {code: reader.name_of(code) for code in reader.channels}
+
+    @property
+    def start_ns(self) -> int | None:
+        """The time that the current file names as its start, in nanoseconds since 1970.
+
+        Times of frames count from there. None if the file names none, or times count from 1970. It
+        is known with the first block.
+        """
+        return self._begin().start_ns
+
+    def keep_tags(self) -> Mapping[int, str]:
+        """Have no notes that channels and directions are lost, for this package's own use.
+
+        Return the names of channels, to which more are added while the file is read.
+        """
+        self._keeps_tags = True
+        return self._begin().channel_names
 
     def close(self) -> None:
         """Close the files that `blocks` opened. This also happens at the end of the iteration."""
@@ -386,10 +536,16 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         opened = list(zip(self._inputs, self._readers, strict=False))
         found = [f"{source.name}: {reader.found}" for source, reader in opened if reader.found]
         remarks = [
-            f"{source.name}: {remark}" for source, reader in opened for remark in reader.remarks
+            f"{source.name}: {remark}"
+            for source, reader in opened
+            for remark in (*([] if self._keeps_tags else reader.tag_remarks), *reader.remarks)
         ]
         doubts = (reader.doubt for _, reader in opened)
-        return Notes(tuple(found), (*remarks, *self._order.remarks), next(filter(None, doubts), ""))
+        return Notes(
+            tuple(found),
+            (*self._starts, *remarks, *self._order.remarks),
+            next(filter(None, doubts), ""),
+        )
 
     def sample(self) -> memoryview:
         """Return some raw bytes of the first file, for `identify`. Call it before the first block.
@@ -428,12 +584,14 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         self._readers.append(reader)
         self._files.append(FilePart(source.name, name, 0))
 
-    def _run(self) -> Generator[FrameArray, None, None]:
+    def _run(self) -> Generator[Tagged, None, None]:
         """Yield the blocks of all files."""
         while True:
             reader, name = self._readers[-1], self.name
             at = len(self._files) - 1
             for block in self._named(reader, name):
+                if self._options.epoch is not None:
+                    self._add_epoch(block, reader, name)
                 if len(self.sources) > 1:
                     remark = self._order.follow(block, at, name)
                     if remark and self._warns:
@@ -441,13 +599,36 @@ class Blocks(Uncopied, Iterator[FrameArray]):
                 self._files[at] = self._files[at]._replace(
                     frames=self._files[at].frames + len(block)
                 )
-                yield block
+                yield reader.tags or Tagged(block)
             more = len(self._readers) > at + 1 or self._next()
             # Otherwise a long list of files would exceed the system's limit of open files.
             reader.close()
             self._inputs[at].close()
             if not more:
                 return
+
+    def _add_epoch(self, block: FrameArray, reader: Reader, name: str) -> None:
+        """Add the epoch to the times of a block."""
+        epoch, known = self._options.epoch, block["ts"] != NO_TIME
+        if not known.any():
+            return
+        counts_from_1970 = int(block["ts"][known][0]) >= YEAR_2000_NS
+        if epoch == "file":
+            start_ns = reader.start_ns
+            if start_ns is None and not counts_from_1970:
+                raise FormatError(f"{name} names no start; give epoch a datetime, or leave it out")
+        elif epoch == START:
+            start_ns = reader.start_ns
+        elif counts_from_1970:
+            raise FormatError(f"{name}: times count from 1970 already; leave the epoch out")
+        else:
+            assert isinstance(epoch, datetime)
+            start_ns = date_ns(epoch, self._options.tz)
+        if start_ns is not None:
+            block["ts"][known] += start_ns
+            if epoch == START and not any(each.startswith(f"{name}: ") for each in self._starts):
+                date = np.datetime64(start_ns, "ns")
+                self._starts.append(f"{name}: its start was added to all times: {date} UTC")
 
     def _named(self, reader: Reader, name: str) -> Iterator[FrameArray]:
         """Yield the blocks of a file. An OSError gets the name of the file."""
@@ -522,14 +703,30 @@ class _Order:
         return remark
 
 
-def _sorted(
-    blocks: Iterator[FrameArray], out: FrameArray | None
-) -> Generator[FrameArray, None, None]:
+def _sorted(blocks: Iterator[Tagged], out: FrameArray | None) -> Generator[Tagged, None, None]:
     """Yield all frames in the order of their times; first those without a time."""
-    whole = concat(map(copy_records, blocks))
-    ordered = whole.take(np.argsort(whole["ts"], kind="stable"))
-    parts = (ordered[at : at + _SORTED_BLOCK] for at in range(0, len(ordered), _SORTED_BLOCK))
-    yield from parts if out is None else refill(parts, out)
+    parts, channels, directions = [], [], []
+    for block in blocks:
+        count = len(block.frames)
+        parts.append(copy_records(block.frames))
+        channels.append(_codes(block.channels, count, NO_CHANNEL))
+        directions.append(_codes(block.directions, count, RECEIVED))
+    whole = concat(parts)
+    order = np.argsort(whole["ts"], kind="stable")
+    ordered = whole.take(order)
+    all_channels = np.concatenate(channels).take(order) if channels else np.empty(0, np.uint8)
+    all_directions = np.concatenate(directions).take(order) if channels else np.empty(0, np.uint8)
+    size = _SORTED_BLOCK if out is None else len(out)
+    for at in range(0, len(ordered), size):
+        frames = ordered[at : at + size]
+        if out is not None:
+            put_records(out[: len(frames)], frames)
+            frames = out[: len(frames)]
+        yield Tagged(frames, all_channels[at : at + size], all_directions[at : at + size])
+
+
+def _codes(codes: Codes | None, count: int, unknown: int) -> Codes:
+    return np.full(count, unknown, np.uint8) if codes is None else codes.copy()
 
 
 def listed(source: Sources) -> list[Source]:
@@ -570,7 +767,13 @@ def read(
     offsets: Offsets | None = None,
     threads: int = 1,
     bus: str | None = None,
+    channels: Codes | None = None,
+    directions: Codes | None = None,
+    times: str | None = None,
+    epoch: str | datetime | None = None,
+    tz: tzinfo | None = None,
     sort: bool = False,
+    skip_bad: bool = False,
     as_is: bool = False,
 ) -> FrameArray:
     """Read all frames of a file, or of several, into one new array.
@@ -592,8 +795,19 @@ def read(
         Number of threads that may decode a regular file of raw bytes; 1 by default.
     bus : str, optional
         Channel to read from a log of several buses, such as "can0"; all channels by default.
+    channels, directions : array of uint8, shape (n,), optional
+        Filled with the channels and the directions of the frames, as for `blocks`. They need room
+        for all frames; those behind them stay as they were.
+    times : {None, "delta"}, optional
+        "delta" if times in a text log are differences, as for `blocks`.
+    epoch : "file" or datetime, optional
+        Time to add to all times, as for `blocks`.
+    tz : datetime.tzinfo, optional
+        Time zone of dates in a file, which name none; local time by default.
     sort : bool, optional
         Order all frames by their times; first those without a time. False by default.
+    skip_bad : bool, optional
+        Leave out the lines of a text log that cannot be read, and count them.
     as_is : bool, optional
         Read the bytes in the protocol given, whatever they look like, as for `blocks`.
 
@@ -632,20 +846,28 @@ def read(
     >>> len(canser.read(["run.bin", "next.log"], "serial"))
     4
     """
-    options = _checked(
+    options = checked_options(
         format,
         protocol=protocol,
         ts_unit=ts_unit,
         offsets=offsets,
         threads=threads,
         bus=bus,
+        channels=channels,
+        directions=directions,
+        times=times,
+        epoch=epoch,
+        tz=tz,
+        skip_bad=skip_bad,
         as_is=as_is,
     )
     output_offsets(offsets, 0)
-    opened = Blocks(source, options, format=format, sort=sort)
+    _check_codes(options, 0)
+    keeps_tags = channels is not None and directions is not None
+    opened = Blocks(source, options, format=format, sort=sort, keeps_tags=keeps_tags)
     with opened:
         reader = opened._begin()  # a pipe is waited for
-        alone = len(opened.sources) == 1 and not sort
+        alone = len(opened.sources) == 1 and not sort and epoch is None
         if alone and reader.decoder is not None:
             with named(opened.name):
                 frames: FrameArray = reader.read_all(offsets)

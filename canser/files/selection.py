@@ -4,8 +4,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from canser._frames import NO_TIME, YEAR_2000_NS, FrameArray, copy_records, match
+from canser._frames import NO_TIME, YEAR_2000_NS, copy_records, match
 from canser.errors import FormatError
+from canser.files.tags import Tagged
 
 __all__ = ["Moment", "Selection"]
 
@@ -39,10 +40,10 @@ class Selection:
         """Whether all frames are selected, and no times are moved."""
         return self == Selection()
 
-    def apply(self, blocks: Iterable[FrameArray]) -> Iterator[FrameArray]:
+    def apply(self, blocks: Iterable[Tagged]) -> Iterator[Tagged]:
         """Yield the selected frames; FormatError if times to move already count from 1970."""
         left, first_ns = self.count, None
-        for block in blocks:
+        for block, channels, directions in blocks:
             frames, ts = block, block["ts"]
             if first_ns is None:
                 timed = ts[ts != NO_TIME]
@@ -59,11 +60,13 @@ class Selection:
                     limit = moment.ns + ((begin_ns or 0) if moment.from_first else 0)
                     known = frames["ts"] != NO_TIME
                     wanted &= known & ((frames["ts"] < limit) == early)
-            kept = frames if wanted.all() else frames.compress(wanted)
+            kept = Tagged(frames, channels, directions)
+            if not wanted.all():
+                kept = kept.map(lambda array: array.compress(wanted))  # noqa: B023 - called here
             if left is not None:
-                kept = kept[:left]
-                left -= len(kept)
-            if len(kept):
+                kept = kept.map(lambda array: array[:left])  # noqa: B023 - called here
+                left -= len(kept.frames)
+            if len(kept.frames):
                 yield kept
             if left == 0:
                 return

@@ -1,6 +1,8 @@
 """Writers: the options of writing, and the interface of all formats."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import tzinfo
 from typing import Protocol
 
 from canser._frames import FrameArray
@@ -18,10 +20,18 @@ class WriteOptions:
     ts_unit: str = "ms"
     #: Whether frames that the protocol cannot carry are an error; otherwise they are left out.
     strict: bool = False
+    #: Names of channels by their codes, as the files that are read have them; more may come.
+    channel_names: Mapping[int, str] = field(default_factory=dict)
+    #: Time zone of dates without one; None for local time.
+    tz: tzinfo | None = None
 
 
 class Writer(Protocol):
-    """Writes frames into a file."""
+    """Writes frames into a file.
+
+    A writer with the attribute `takes_tags` also takes the channels and directions of frames:
+    `write(frames, channels, directions)`, each an array of uint8 or None.
+    """
 
     def write(self, frames: FrameArray) -> None:
         """Append frames."""

@@ -5,10 +5,13 @@ import os
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from datetime import datetime, tzinfo
 from typing import Any, BinaryIO
 
 import numpy as np
 
+from canser._checks import type_name
+from canser._core.text import Codes
 from canser._frames import FRAME_DTYPE, FrameArray, refuse_mask
 from canser._output import check_apart, whole_file
 from canser._protocols import protocol as protocol_of
@@ -18,9 +21,10 @@ from canser.files.formats import PCAPNG, RAW, find_format, format_names, format_
 from canser.files.judge import check_protocol, is_auto
 from canser.files.raw import RawReader
 from canser.files.reader import ReadOptions
-from canser.files.reading import Blocks, Sources, listed
+from canser.files.reading import START, Blocks, Sources, checked_options, listed
 from canser.files.recordings import RecordingReader, open_writer
 from canser.files.selection import Selection
+from canser.files.tags import TagCounts, Tagged
 from canser.files.writer import WriteOptions
 
 __all__ = ["Converted", "choose_target", "convert", "convert_opened", "write"]
@@ -62,6 +66,11 @@ def choose_target(path: str, given: str | None) -> str:
     return chosen
 
 
+def start_epoch(chosen: str) -> str | None:
+    """Return the epoch for files that are converted to a format, if no other one is given."""
+    return None if chosen == RAW else START
+
+
 def check_target(chosen: str, protocol: str | None, source: str = "") -> None:
     """Raise ValueError if bytes of a line are to be written and their protocol is not known.
 
@@ -100,7 +109,10 @@ def write(
     protocol: str | None = None,
     *,
     format: str | None = None,  # noqa: A002 - as users call it
+    channels: Codes | None = None,
+    directions: Codes | None = None,
     ts_unit: str = "ms",
+    tz: tzinfo | None = None,
     strict: bool = False,
     force: bool = False,
 ) -> Converted:
@@ -117,8 +129,13 @@ def write(
     format : str, optional
         "raw", "pcapng" (a recording), "candump", "csv", "npy", or a format that another package
         adds. By default the suffix of the file's name decides.
+    channels, directions : array of uint8, shape (n,), optional
+        With one array of frames: their channels, numbers from 0 and 255 for not told, and their
+        directions, 1 for sent and 0 for received. `canser.blocks` brings its own.
     ts_unit : str, optional
         Unit of the device's timestamps in raw bytes: "s", "ms", "us" or "ns"; "ms" by default.
+    tz : datetime.tzinfo, optional
+        Time zone of dates in the file, which name none; local time by default.
     strict : bool, optional
         Refuse frames that the protocol cannot carry. By default they are left out and counted.
     force : bool, optional
@@ -162,21 +179,42 @@ def write(
     name = os.fsdecode(path)
     chosen = choose_target(name, format)
     check_target(chosen, protocol)
-    options = WriteOptions(protocol=protocol, ts_unit=ts_unit, strict=strict)
+    options = WriteOptions(protocol=protocol, ts_unit=ts_unit, strict=strict, tz=tz)
     tick_ns(ts_unit)
-    blocks = [frames] if isinstance(frames, np.ndarray) else frames
+    tagged: Iterable[Tagged]
+    if isinstance(frames, Blocks):
+        options = dataclasses.replace(options, channel_names=frames.keep_tags())
+        tagged = frames.tagged()
+    elif isinstance(frames, np.ndarray):
+        tagged = [_tagged(frames, channels, directions)]
+    else:
+        if channels is not None or directions is not None:
+            raise ValueError("channels and directions go with one array of frames")
+        tagged = (_tagged(each) for each in frames)
     with whole_file(name, force=force) as file:
-        done = _write_all(map(_checked, blocks), file, chosen, options)
+        done = _write_all(tagged, file, chosen, options)
     for remark in done.remarks:
         warnings.warn(f"{name}: {remark}", CanserWarning, stacklevel=2)
     return done
 
 
-def _checked(frames: FrameArray) -> FrameArray:
+def _tagged(
+    frames: FrameArray, channels: Codes | None = None, directions: Codes | None = None
+) -> Tagged:
+    """Return frames with their channels and directions, checked."""
     if getattr(frames, "dtype", None) != FRAME_DTYPE or frames.ndim != 1:
         raise TypeError("frames must be arrays of canser.FRAME_DTYPE in one dimension")
     refuse_mask(frames, "frames")
-    return np.ascontiguousarray(frames)
+    for name, codes in (("channels", channels), ("directions", directions)):
+        if codes is not None:
+            if not isinstance(codes, np.ndarray) or codes.dtype != np.uint8:
+                raise TypeError(f"{name} must be an array of uint8, not {type_name(codes)}")
+            if codes.shape != frames.shape:
+                raise ValueError(
+                    f"{name} has the shape {codes.shape}, frames have {frames.shape}; they must be "
+                    "the same"
+                )
+    return Tagged(frames, channels, directions).map(np.ascontiguousarray)
 
 
 def convert(
@@ -187,7 +225,12 @@ def convert(
     format: str | None = None,  # noqa: A002 - as users call it
     to: str | None = None,
     ts_unit: str | None = None,
+    epoch: str | datetime | None = None,
+    tz: tzinfo | None = None,
+    times: str | None = None,
+    bus: str | None = None,
     sort: bool = False,
+    skip_bad: bool = False,
     strict: bool = False,
     force: bool = False,
     as_is: bool = False,
@@ -212,8 +255,19 @@ def convert(
     ts_unit : str, optional
         Unit of the device's timestamps in raw bytes, read or written: "s", "ms", "us" or "ns";
         "ms" by default.
+    epoch : "file" or datetime, optional
+        Time to add to all times, as for `read`. By default it is the start that the file names, and
+        a remark says so; raw bytes get times as the file states them.
+    tz : datetime.tzinfo, optional
+        Time zone of dates in the files, which name none; local time by default.
+    times : {None, "delta"}, optional
+        "delta" if times in a text log are differences, as for `read`.
+    bus : str, optional
+        Channel to read, as for `read`; all channels by default.
     sort : bool, optional
         Order all frames by their times, as for `read`. False by default.
+    skip_bad : bool, optional
+        Leave out the lines of a text log that cannot be read, and count them.
     strict : bool, optional
         Refuse frames that the protocol cannot carry. By default they are left out and counted.
     force : bool, optional
@@ -258,8 +312,18 @@ def convert(
     named = [os.fsdecode(each) for each in listed(source) if isinstance(each, (str, os.PathLike))]
     check_apart(name, *named)
     chosen = choose_target(name, to)
-    options = ReadOptions(protocol=protocol, ts_unit=ts_unit, as_is=as_is)
-    writing = WriteOptions(protocol=protocol, ts_unit=ts_unit or "ms", strict=strict)
+    options = checked_options(
+        format,
+        protocol=protocol,
+        ts_unit=ts_unit,
+        bus=bus,
+        times=times,
+        epoch=epoch or start_epoch(chosen),
+        tz=tz,
+        skip_bad=skip_bad,
+        as_is=as_is,
+    )
+    writing = WriteOptions(protocol=protocol, ts_unit=ts_unit or "ms", strict=strict, tz=tz)
     with open_to_convert(source, options, format=format, sort=sort) as blocks:
         check_target(chosen, protocol, blocks.format)
         with whole_file(name, force=force) as file:
@@ -292,8 +356,9 @@ def convert_opened(
         return _copy_bytes(blocks, file, options)
     if to in BYTES and options.protocol is None:
         options = dataclasses.replace(options, protocol=blocks.decoder.protocol)
+    options = dataclasses.replace(options, channel_names=blocks.keep_tags())
     try:
-        return _write_all(selection.apply(blocks), file, to, options)
+        return _write_all(selection.apply(blocks.tagged()), file, to, options)
     except FormatError as error:
         if to not in BYTES:
             raise
@@ -301,14 +366,22 @@ def convert_opened(
 
 
 def _write_all(
-    blocks: Iterable[FrameArray], file: BinaryIO, to: str, options: WriteOptions
+    blocks: Iterable[Tagged], file: BinaryIO, to: str, options: WriteOptions
 ) -> Converted:
     writer = find_format(to).write(file, options)
+    takes_tags = getattr(writer, "takes_tags", False)
+    counts = TagCounts()
     done = Converted()
-    for frames in blocks:
-        writer.write(frames)
+    for frames, channels, directions in blocks:
+        if takes_tags:
+            writer.write(frames, channels, directions)
+        else:
+            writer.write(frames)
+            counts.add(channels, directions, len(frames))
         done.frames += len(frames)
-    done.remarks += writer.finish()
+    names = options.channel_names
+    done.remarks += counts.channel_remarks(lambda code: names.get(code, str(code)))
+    done.remarks += [*counts.direction_remarks(), *writer.finish()]
     if to in BYTES:
         done.frames, done.bytes_out = writer.frames, writer.bytes_out
     return done

@@ -1,0 +1,34 @@
+"""Dates in files: local time, unless the caller names a zone."""
+
+import datetime as dt
+from typing import Final
+
+__all__ = ["date_ns", "local_date", "to_ns"]
+
+_SECOND_NS: Final = 1_000_000_000
+_EPOCH: Final = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
+
+
+def to_ns(date: dt.date, time: str, tz: dt.tzinfo | None) -> int:
+    """Return a date and a time such as 14:31:19.432583 as nanoseconds since 1970.
+
+    ValueError for a text that is no time of day.
+    """
+    hours, minutes, seconds = time.split(":")
+    whole, _, places = seconds.partition(".")
+    moment = dt.datetime(date.year, date.month, date.day, int(hours), int(minutes), int(whole))
+    return date_ns(moment, tz) + int(places[:9].ljust(9, "0"))
+
+
+def date_ns(moment: dt.datetime, tz: dt.tzinfo | None) -> int:
+    """Return a date as nanoseconds since 1970; without a zone it is of `tz`, or local time."""
+    if moment.tzinfo is None:
+        moment = moment.replace(tzinfo=tz) if tz is not None else moment.astimezone()
+    since = moment - _EPOCH
+    return (since.days * 86_400 + since.seconds) * _SECOND_NS + since.microseconds * 1_000
+
+
+def local_date(ns: int, tz: dt.tzinfo | None) -> dt.datetime:
+    """Return nanoseconds since 1970 as a date of a zone, or of local time, in microseconds."""
+    moment = _EPOCH + dt.timedelta(microseconds=ns // 1000)
+    return moment.astimezone(tz)

@@ -1,0 +1,175 @@
+"""The base of readers of text: usual lines are read in C, and any other one by one in Python."""
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+from canser._core.text import Taken, TextReader
+from canser._input import Input
+from canser._rows import Row
+from canser.errors import FormatError
+from canser.files.reader import ReadOptions
+from canser.files.tagged import TaggedReader
+
+__all__ = ["BLANKS", "Line", "LineReader"]
+
+# Blanks of ASCII. Without them, strip() would take the blanks of all scripts.
+BLANKS: Final = " \t\r\n\v\f"
+
+# Limit for a line of text, in bytes. A line of a frame has under 200; a longer one is no text.
+_LINE_MOST: Final = 1 << 16
+
+_NOTHING: Final = Taken(0, 0, 0)
+
+
+def _find_end(data: memoryview, begin: int) -> int:
+    """Return the place behind the line that begins at a place; 0 if it has no end."""
+    for size in (256, _LINE_MOST):  # mostly a line is short: little is copied
+        found = bytes(data[begin : begin + size]).find(b"\n")
+        if found >= 0:
+            return begin + found + 1
+    return 0
+
+
+class Line(NamedTuple):
+    """What a line says."""
+
+    row: Row
+    #: Name of the channel as the file has it; None if it is not told.
+    channel: str | None = None
+    #: "R", "Rx" and the like; None if it is not told.
+    direction: str | None = None
+
+
+class LineReader(TaggedReader):
+    """Reads text. A subclass sets `format`, and defines `_parse` for the lines that C leaves."""
+
+    #: The name of the format in C.
+    format = ""
+    #: Whether C may read lines. Otherwise all are read in Python.
+    _in_c = True
+
+    def __init__(self, source: Input, options: ReadOptions) -> None:
+        self._c = TextReader(self.format)
+        super().__init__(source, options)
+        self._offset = self._number = 0  # bytes and lines so far
+        self._nuls = 0  # NUL bytes at the end of the file
+        self._bad: list[tuple[int, str]] = []  # the first line that cannot be read, and why
+        self._bad_count = 0
+        self._xl_count = 0
+        self._is_cut = False
+        self.bytes_done = 0
+
+    def _new_rows(self) -> None:
+        super()._new_rows()
+        self._c.use(self._frames, self._channels, self._directions)
+
+    def _named(self, name: str, code: int) -> None:
+        self._c.add_name(name, code)
+
+    def _parse(self, text: str) -> Line | None:
+        """Return what a line says; None if it is no frame. ValueError if it cannot be read."""
+        raise NotImplementedError
+
+    def _fill(self) -> Iterator[None]:
+        source = self._source
+        while True:
+            data = source.ahead(self._offset)
+            if not data:
+                break
+            taken = self._c.read(data, self._count) if self._in_c else _NOTHING
+            self._advance(taken.used)
+            self._count += taken.frames
+            self._number += taken.lines
+            if self._count == len(self._frames):
+                yield
+                continue
+            left = len(data) - taken.used
+            end = _find_end(data, taken.used)
+            if end:
+                try:
+                    self._take_line(bytes(data[taken.used : end]))
+                except FormatError:
+                    yield  # the frames before it
+                    raise
+                if self._count == len(self._frames):
+                    yield
+            elif left >= _LINE_MOST:
+                if not self._take_nuls(data[taken.used :]):
+                    raise self._endless()
+            else:  # the next line is not whole
+                if source.size is None:
+                    yield  # a pipe is waited for: frames go on before
+                if len(source.at(self._offset, left + 1)) == left:
+                    self._take_last(bytes(data[taken.used :]))
+                    break
+        yield
+
+    def _advance(self, count: int) -> None:
+        self._offset += count
+        self.bytes_done = self._offset
+
+    def _endless(self) -> FormatError:
+        number = self._number + 1
+        return FormatError(f"{self._source.name}, line {number}: has no end; is it raw bytes?")
+
+    def _take_last(self, raw: bytes) -> None:
+        """Read the bytes behind the last line end."""
+        if not self._take_nuls(raw):
+            self._take_line(raw, is_last=True)
+
+    def _take_nuls(self, raw: bytes | memoryview) -> bool:
+        """Count bytes as NULs that a power cut has left; return False if they are none."""
+        if bytes(raw).strip(b"\0"):
+            return False
+        self._nuls += len(raw)
+        self._advance(len(raw))
+        return True
+
+    def _take_line(self, raw: bytes, *, is_last: bool = False) -> None:
+        """Read a line in Python."""
+        self._advance(len(raw))
+        self._number += 1
+        try:
+            line = self._read_line(raw)
+            if line is not None:
+                code = self._code(line.channel)
+                self._put_row(line.row, code, sent=(line.direction or "")[:1] in ("T", "t"))
+        except ValueError as error:
+            if is_last and (self._count or self._tags.any):
+                self._is_cut = True
+                return
+            if not self._options.skip_bad:
+                raise FormatError(f"{self._source.name}, line {self._number}: {error}") from None
+            if not self._bad_count:
+                self._bad.append((self._number, str(error)))
+            self._bad_count += 1
+
+    def _read_line(self, raw: bytes) -> Line | None:
+        try:
+            text = raw.decode("utf-8-sig" if self._number == 1 else "utf-8").strip(BLANKS)
+        except UnicodeDecodeError:
+            raise ValueError("this is no text; is it raw bytes?") from None
+        return self._parse(text) if text else None
+
+    @property
+    def remarks(self) -> list[str]:
+        """Remarks on the file: what the frames do not hold."""
+        remarks = super().remarks
+        counts = {
+            "CAN FD frames, left out": self._c.state.fd_count,
+            "CAN XL frames, left out": self._xl_count,
+        }
+        remarks += [f"{what}: {count:,}" for what, count in counts.items() if count]
+        if self._bad_count:
+            number, why = self._bad[0]
+            remarks.append(
+                f"lines that cannot be read, left out: {self._bad_count:,}; the first is line "
+                f"{number}: {why}"
+            )
+        if self._is_cut:
+            remarks.append("the last line is cut off, and left out")
+        if self._nuls:
+            remarks.append(
+                f"ends in {self._nuls:,} NUL bytes; was the power cut? Frames may be missing"
+            )
+        return remarks
