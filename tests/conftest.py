@@ -11,12 +11,16 @@ import pytest
 
 import canser
 from canser.codec import parallel
+from long import LONG
 from reference import RECORD, Control, Result, Stats, unpack
 
-# No deadline: a shared machine is late now and then. In CI the same examples every time, so that
-# a failure there is never the luck of the draw.
+# No deadline: a shared machine is late now and then. Many examples where all that takes long is
+# run. In CI the same examples every time, so that a failure there is never the luck of the draw.
 hypothesis.settings.register_profile(
-    "canser", deadline=None, max_examples=80, derandomize=bool(os.environ.get("CI"))
+    "canser",
+    deadline=None,
+    max_examples=160 if LONG else 40,
+    derandomize=bool(os.environ.get("CI")),
 )
 hypothesis.settings.load_profile("canser")
 
