@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from datetime import tzinfo
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,10 +18,17 @@ from canser.analysis.plain import to_plain
 from canser.analysis.steps import StepStatistics
 from canser.codec.decoder import Stats
 from canser.errors import NoProtocolError
+from canser.files.dates import date_text
 from canser.files.fits import Fit, identify
-from canser.files.judge import check_protocol
-from canser.files.reader import ReadOptions
-from canser.files.reading import Blocks, FilePart, Progress, Source, Sources, listed
+from canser.files.reading import (
+    Blocks,
+    FilePart,
+    Progress,
+    Source,
+    Sources,
+    checked_options,
+    listed,
+)
 from canser.recording.header import RecordingInfo
 
 __all__ = ["FileInfo", "info", "rank_protocols", "summarise"]
@@ -104,6 +112,11 @@ class FileInfo:
     controls: tuple[Control, ...] = ()
     #: The line that a recording is of, None for other files.
     recording: RecordingInfo | None = None
+    #: The time from which the times of the last file count, in nanoseconds since 1970; None if the
+    #: file names none.
+    start_ns: int | None = None
+    #: The same as a date with its zone, "" if the file names none.
+    start: str = ""
     #: Why the bytes are not of the protocol, "" if they may be.
     doubt: str = ""
     #: Messages about the files, with their names: what is damaged, lost, or not read.
@@ -149,6 +162,8 @@ class FileInfo:
             self.first_ns, self.last_ns, self.span_ns, self.restarts, self.false_times
         )
         yield f"time       {times}"
+        if self.start:
+            yield f"start      {self.start}"
         dlc = ", ".join(f"{dlc}: {count:,}" for dlc, count in enumerate(self.dlc) if count)
         yield f"dlc        {dlc or '-'}"
         if self.stats is not None:
@@ -198,7 +213,10 @@ def info(
     format: str | None = None,  # noqa: A002 - as in `canser.read`
     ts_unit: str | None = None,
     bus: str | None = None,
+    times: str | None = None,
+    tz: tzinfo | None = None,
     sort: bool = False,
+    skip_bad: bool = False,
     as_is: bool = False,
     progress: Progress | None = None,
 ) -> FileInfo:
@@ -219,8 +237,14 @@ def info(
         Unit of the device's timestamps in raw bytes: "s", "ms", "us" or "ns"; "ms" by default.
     bus : str, optional
         Channel to read from a log of several buses, such as "can0"; all channels by default.
+    times : {None, "delta"}, optional
+        "delta" if times in a text log are differences, as for `canser.blocks`.
+    tz : datetime.tzinfo, optional
+        Time zone of dates in a file, which name none; local time by default.
     sort : bool, optional
         Order all frames by their times, as for `canser.read`. False by default.
+    skip_bad : bool, optional
+        Leave out the lines of a text log that cannot be read, and count them.
     as_is : bool, optional
         Read the bytes in the protocol given, whatever they look like, as for `canser.blocks`.
     progress : callable, optional
@@ -261,13 +285,21 @@ def info(
           id     frames   share     rate/s   period ms  dlc
          123          3 100.00%     150.00       10.00  0
     """
-    check_protocol(protocol, ts_unit)
-    options = ReadOptions(protocol=protocol, ts_unit=ts_unit, bus=bus, as_is=as_is)
+    options = checked_options(
+        format,
+        protocol=protocol,
+        ts_unit=ts_unit,
+        bus=bus,
+        times=times,
+        tz=tz,
+        skip_bad=skip_bad,
+        as_is=as_is,
+    )
     fits: list[Fit] = []
 
     def read_all() -> FileInfo:
         with Blocks(source, options, format=format, progress=progress, sort=sort) as file:
-            return _describe(file, fits)
+            return _describe(file, fits, tz)
 
     try:
         return read_all()
@@ -281,7 +313,7 @@ def info(
     return read_all()
 
 
-def _describe(file: Blocks, fits: list[Fit]) -> FileInfo:
+def _describe(file: Blocks, fits: list[Fit], tz: tzinfo | None) -> FileInfo:
     """Return what is in open files. `fits`: the ranking that found the protocol, if any."""
     found = summarise(file)
     notes = file.notes
@@ -293,6 +325,8 @@ def _describe(file: Blocks, fits: list[Fit]) -> FileInfo:
         stats=file.stats,
         controls=tuple(file.take_controls()),
         recording=file.recording,
+        start_ns=file.start_ns,
+        start="" if file.start_ns is None else date_text(file.start_ns, tz),
         doubt=notes.doubt,
         remarks=notes.lines,
         fits=tuple(fits),

@@ -8,13 +8,27 @@ import math
 import re
 from argparse import ArgumentTypeError
 from collections.abc import Callable
-from datetime import datetime
+from datetime import UTC, datetime, timedelta, timezone, tzinfo
 from typing import Final
+from zoneinfo import ZoneInfo
 
 from canser._quantities import is_duration, parse_bytes, parse_seconds
 from canser.files.selection import Moment
 
-__all__ = ["byte_count", "date", "duration", "moment", "real", "whole"]
+__all__ = [
+    "FILE",
+    "byte_count",
+    "date",
+    "duration",
+    "epoch",
+    "moment",
+    "real",
+    "time_zone",
+    "whole",
+]
+
+# The epoch that is the start which a file names.
+FILE: Final = "file"
 
 # No count needs more digits. int() refuses more than 4,300 digits, with an error of its own.
 _DIGITS_MOST: Final = 30
@@ -27,6 +41,8 @@ _DATE: Final = re.compile(
     r"(?P<seconds>[0-9]{4}-[0-9]{2}-[0-9]{2}[T ][0-9]{2}:[0-9]{2}(?::[0-9]{2})?)"
     r"(?:\.(?P<fraction>[0-9]{1,9}))?(?P<offset>Z|[+-][0-9]{2}:[0-9]{2})?"
 )
+
+_OFFSET: Final = re.compile(r"(?P<sign>[+-])(?P<hours>[01][0-9]|2[0-3]):(?P<minutes>[0-5][0-9])")
 
 
 def whole(*, least: int = 0, most: int | None = None) -> Callable[[str], int]:
@@ -101,6 +117,25 @@ def date(text: str) -> int:
         ) from None
     fraction = int((found["fraction"] or "").ljust(9, "0"))
     return int(moment.timestamp()) * 10**9 + fraction
+
+
+def epoch(text: str) -> int | str:
+    """Return the nanoseconds since 1970 of a date, or FILE for the start that a file names."""
+    return FILE if text == FILE else date(text)
+
+
+def time_zone(text: str) -> tzinfo:
+    """Return a time zone: UTC, an offset such as +01:00, or a name such as Europe/Berlin."""
+    found = _OFFSET.fullmatch(text)
+    if found:
+        minutes = int(found["hours"]) * 60 + int(found["minutes"])
+        return timezone(timedelta(minutes=-minutes if found["sign"] == "-" else minutes))
+    try:
+        return UTC if text.upper() == "UTC" else ZoneInfo(text)
+    except (KeyError, ValueError, OSError):
+        raise ArgumentTypeError(
+            f"unknown time zone {text!r}; write UTC, +01:00 or Europe/Berlin"
+        ) from None
 
 
 def moment(text: str) -> Moment:

@@ -13,7 +13,7 @@ from canser._input import Source
 from canser._progress import Progress
 from canser._protocols import TS_UNITS, protocols
 from canser.codec.decoder import Stats
-from canser.commands._numbers import date, moment, whole
+from canser.commands._numbers import FILE, epoch, moment, time_zone, whole
 from canser.commands._parser import CallError, DataError, Parser, protocol_name, write_line
 from canser.errors import (
     ForeignFormatError,
@@ -30,9 +30,9 @@ from canser.files.selection import Selection
 __all__ = [
     "FORMATS",
     "as_is_argument",
-    "bus_argument",
     "check_found",
     "format_name",
+    "log_arguments",
     "open_source",
     "opened",
     "options_named",
@@ -75,7 +75,7 @@ def source_arguments() -> argparse.ArgumentParser:
         help=f"format of IN: {FORMATS} (default: by its content, otherwise by its suffix, "
         "otherwise raw)",
     )
-    bus_argument(source)
+    log_arguments(source)
     source.add_argument(
         "--sort",
         action="store_true",
@@ -98,12 +98,31 @@ def format_name(name: str) -> str:
     return name
 
 
-def bus_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the argument that chooses one channel of a log."""
+def log_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments about logs of other programs."""
     parser.add_argument(
         "--bus",
         metavar="NAME",
-        help="read only the frames of this channel of a log, such as can0 (default: all)",
+        help="read only the frames of this channel of a log, such as can0 or 1 (default: all)",
+    )
+    parser.add_argument(
+        "--times",
+        choices=("delta",),
+        help="delta: times of a text log are differences, as candump -td prints them, and are "
+        "added up (default: they are times)",
+    )
+    parser.add_argument(
+        "--tz",
+        metavar="ZONE",
+        type=time_zone,
+        help="time zone of dates in logs, which name none: UTC, +01:00 or Europe/Berlin (default: "
+        "that of this computer)",
+    )
+    parser.add_argument(
+        "--skip-bad",
+        action="store_true",
+        help="leave out lines of a text log that cannot be read, and count them (default: they are "
+        "an error)",
     )
 
 
@@ -145,9 +164,10 @@ def selection_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--epoch",
         metavar="DATE",
-        type=date,
+        type=epoch,
         help="date of the first frame; times that count from the start of the device become "
-        "dates (default: the times stay)",
+        "dates. Or file: add the start that the file names, such as an ASC log (default: the "
+        "times stay; convert adds that start)",
     )
 
 
@@ -162,7 +182,7 @@ def selection(args: argparse.Namespace) -> Selection:
         start=args.start,
         end=args.end,
         count=args.count,
-        epoch_ns=args.epoch,
+        epoch_ns=None if args.epoch == FILE else args.epoch,
     )
 
 
@@ -194,7 +214,16 @@ def _standard_input() -> BinaryIO:
 
 def read_options(args: argparse.Namespace) -> ReadOptions:
     """Return the options for reading IN."""
-    return ReadOptions(protocol=args.protocol, ts_unit=args.ts_unit, bus=args.bus, as_is=args.as_is)
+    return ReadOptions(
+        protocol=args.protocol,
+        ts_unit=args.ts_unit,
+        bus=args.bus,
+        times=args.times,
+        tz=args.tz,
+        skip_bad=args.skip_bad,
+        epoch=FILE if getattr(args, "epoch", None) == FILE else None,
+        as_is=args.as_is,
+    )
 
 
 def open_source(args: argparse.Namespace, progress: Progress | None = None) -> Blocks:

@@ -1,6 +1,7 @@
 """`canser convert`: raw bytes or a recording to a file of frames, and back."""
 
 import argparse
+import dataclasses
 from typing import Any
 
 from canser._output import check_apart, whole_file
@@ -22,7 +23,14 @@ from canser.commands._source import (
 from canser.files.formats import RAW
 from canser.files.reading import Blocks
 from canser.files.writer import WriteOptions
-from canser.files.writing import BYTES, check_target, choose_target, convert_opened, open_to_convert
+from canser.files.writing import (
+    BYTES,
+    check_target,
+    choose_target,
+    convert_opened,
+    open_to_convert,
+    start_epoch,
+)
 
 __all__ = ["add"]
 
@@ -109,7 +117,10 @@ def run(args: argparse.Namespace) -> int:
     to = _target_format(args)
     chosen = selection(args)
     check_apart(args.target, *args.sources)
-    with Progress(f"converting {args.sources[0]}") as progress, _open(args, progress) as source:
+    with (
+        Progress(f"converting {args.sources[0]}") as progress,
+        _open(args, progress, to) as source,
+    ):
         if to is None:
             to = "candump" if source.format in BYTES else RAW
         try:
@@ -118,7 +129,7 @@ def run(args: argparse.Namespace) -> int:
             remedy = "" if to == source.format else "; name it with -p"
             raise CallError(f"{error}{remedy}") from None
         options = WriteOptions(
-            protocol=args.protocol, ts_unit=args.ts_unit or "ms", strict=args.strict
+            protocol=args.protocol, ts_unit=args.ts_unit or "ms", strict=args.strict, tz=args.tz
         )
         with whole_file(args.target, force=args.force) as target:
             done = convert_opened(source, target, to, options, chosen)
@@ -146,11 +157,14 @@ def run(args: argparse.Namespace) -> int:
     return GOOD
 
 
-def _open(args: argparse.Namespace, progress: Progress) -> Blocks:
+def _open(args: argparse.Namespace, progress: Progress, to: str | None) -> Blocks:
+    options = read_options(args)
+    if args.epoch is None:
+        options = dataclasses.replace(options, epoch=start_epoch(to or "candump"))
     with options_named():
         return open_to_convert(
             opened(args.sources),
-            read_options(args),
+            options,
             format=args.source_format,
             progress=progress,
             sort=args.sort,

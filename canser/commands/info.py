@@ -75,7 +75,10 @@ def run(args: argparse.Namespace) -> int:
                 ts_unit=args.ts_unit,
                 format=args.source_format,
                 bus=args.bus,
+                times=args.times,
+                tz=args.tz,
                 sort=args.sort,
+                skip_bad=args.skip_bad,
                 as_is=args.as_is,
                 progress=progress,
             )

@@ -13,7 +13,13 @@ from canser.commands._parser import GOOD, CallError, Commands, DataError, add_co
 from canser.commands._port import open_port, port_arguments
 from canser.commands._screen import warnings_as_lines
 from canser.commands._sending import Sender, pace_argument
-from canser.commands._source import FORMATS, as_is_argument, bus_argument, format_name, read_options
+from canser.commands._source import (
+    FORMATS,
+    as_is_argument,
+    format_name,
+    log_arguments,
+    read_options,
+)
 from canser.commands._traffic import TrafficFile
 from canser.errors import CanserError
 from canser.live.player import Played, play
@@ -67,7 +73,7 @@ def add(commands: Commands) -> None:
         help="send a frame every MS milliseconds (default: at their recorded times)",
     )
     pace_argument(parser)
-    bus_argument(parser)
+    log_arguments(parser)
     parser.add_argument(
         "--sort",
         action="store_true",

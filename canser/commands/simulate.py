@@ -27,7 +27,7 @@ from canser.commands._parser import (
     show,
     write_line,
 )
-from canser.commands._source import as_is_argument, bus_argument, read_options, write_remarks
+from canser.commands._source import as_is_argument, log_arguments, read_options, write_remarks
 from canser.commands._traffic import TrafficFile
 from canser.errors import ReaderGoneError
 from canser.simulation.faults import Faults
@@ -79,7 +79,7 @@ def add(commands: Commands) -> None:
         help="file of frames to send, of any format, or raw bytes of the protocol; - for "
         "standard input (default: generated traffic of a vehicle, until Ctrl-C)",
     )
-    bus_argument(parser)
+    log_arguments(parser)
     as_is_argument(parser)
     parser.add_argument(
         "--seconds",

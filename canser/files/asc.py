@@ -45,7 +45,7 @@ suffixes: Final = (".asc",)
 cannot_hold: Final = (
     "times under a microsecond",
     "whether a time is known",
-    "ids and data of error frames",
+    "ids, data and directions of error frames",
 )
 
 # Groups: month, day, hours, minutes, seconds, places, am or pm, year.
@@ -135,7 +135,7 @@ class Writer:
         self._file.write(b"End TriggerBlock\n")
         state = self._lines.state
         remarks = {
-            "error frames without their id and data": state.error_frames,
+            "error frames without their id, data and direction": state.error_frames,
             "frames without a time, written as 0": state.unknown_times,
             "times cut to the microsecond": state.cut_times,
         }

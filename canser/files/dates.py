@@ -3,7 +3,7 @@
 import datetime as dt
 from typing import Final
 
-__all__ = ["date_ns", "local_date", "to_ns"]
+__all__ = ["date_ns", "date_text", "local_date", "to_ns"]
 
 _SECOND_NS: Final = 1_000_000_000
 _EPOCH: Final = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
@@ -32,3 +32,10 @@ def local_date(ns: int, tz: dt.tzinfo | None) -> dt.datetime:
     """Return nanoseconds since 1970 as a date of a zone, or of local time, in microseconds."""
     moment = _EPOCH + dt.timedelta(microseconds=ns // 1000)
     return moment.astimezone(tz)
+
+
+def date_text(ns: int, tz: dt.tzinfo | None) -> str:
+    """Return nanoseconds since 1970 as a date, a time of day with milliseconds, and the zone."""
+    date = local_date(ns, tz)
+    zone = f"{date:%Z}" + (" (local time)" if tz is None else "")
+    return f"{date:%Y-%m-%d %H:%M:%S}.{date.microsecond // 1000:03} {zone}"

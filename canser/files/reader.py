@@ -1,7 +1,7 @@
 """Readers: the frames of a file in blocks, and what is known of the file, for any format."""
 
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass
 from datetime import datetime, tzinfo
 from typing import BinaryIO, cast
@@ -105,9 +105,8 @@ class Reader:
         """The codes of the channels so far."""
         return []
 
-    @property
-    def tag_remarks(self) -> list[str]:
-        """Remarks on channels and directions, for callers that keep only the frames."""
+    def tag_remarks(self, kept: Container[str]) -> list[str]:  # noqa: ARG002 - for all formats
+        """Return remarks on "channels" and "directions", but for those that are kept."""
         return []
 
     @property

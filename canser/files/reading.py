@@ -30,7 +30,7 @@ from canser._named import named
 from canser._protocols import protocols
 from canser.codec.decoder import Decoder, Stats, add_stats, check_threads
 from canser.errors import CanserWarning, FormatError
-from canser.files.dates import date_ns
+from canser.files.dates import date_ns, date_text
 from canser.files.formats import choose_format, find_format
 from canser.files.judge import check_protocol
 from canser.files.raw import RawReader
@@ -311,19 +311,18 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         progress: Progress | None = None,
         sort: bool = False,
         warns: bool = False,
-        keeps_tags: bool = False,
     ) -> None:
-        """Open files.
-
-        With `warns` what is to be known of them is a warning, else only a note. With `keeps_tags`
-        the caller takes channels and directions: there is no note that they are lost.
-        """
+        """Open files. With `warns` what is to be known of them is a warning, else only a note."""
         self.sources = listed(source)
         if len(self.sources) > 1:
             # Formats may mix: the protocol is that of the raw bytes among them.
             options = dataclasses.replace(options, raw_only=True)
         self._options, self._format, self._progress = options, format, progress
-        self._warns, self._keeps_tags = warns, keeps_tags
+        self._warns = warns
+        # What the caller takes besides frames: there is no note that it is lost.
+        self._kept = {
+            name for name in ("channels", "directions") if getattr(options, name) is not None
+        }
         self._tags: Tagged | None = None  # the current block
         self._count = 0  # frames of the blocks so far
         self._starts: list[str] = []  # a remark for each file whose start was added to its times
@@ -439,7 +438,7 @@ class Blocks(Uncopied, Iterator[FrameArray]):
 
         Return the names of channels, to which more are added while the file is read.
         """
-        self._keeps_tags = True
+        self._kept |= {"channels", "directions"}
         return self._begin().channel_names
 
     def close(self) -> None:
@@ -538,7 +537,7 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         remarks = [
             f"{source.name}: {remark}"
             for source, reader in opened
-            for remark in (*([] if self._keeps_tags else reader.tag_remarks), *reader.remarks)
+            for remark in (*reader.tag_remarks(self._kept), *reader.remarks)
         ]
         doubts = (reader.doubt for _, reader in opened)
         return Notes(
@@ -627,8 +626,8 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         if start_ns is not None:
             block["ts"][known] += start_ns
             if epoch == START and not any(each.startswith(f"{name}: ") for each in self._starts):
-                date = np.datetime64(start_ns, "ns")
-                self._starts.append(f"{name}: its start was added to all times: {date} UTC")
+                date = date_text(start_ns, self._options.tz)
+                self._starts.append(f"{name}: its start was added to all times: {date}")
 
     def _named(self, reader: Reader, name: str) -> Iterator[FrameArray]:
         """Yield the blocks of a file. An OSError gets the name of the file."""
@@ -863,8 +862,7 @@ def read(
     )
     output_offsets(offsets, 0)
     _check_codes(options, 0)
-    keeps_tags = channels is not None and directions is not None
-    opened = Blocks(source, options, format=format, sort=sort, keeps_tags=keeps_tags)
+    opened = Blocks(source, options, format=format, sort=sort)
     with opened:
         reader = opened._begin()  # a pipe is waited for
         alone = len(opened.sources) == 1 and not sort and epoch is None

@@ -1,6 +1,6 @@
 """The base of readers whose files tell the channel and the direction of each frame."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 
 import numpy as np
 
@@ -169,12 +169,11 @@ class TaggedReader(Reader):
         """The codes of the channels so far."""
         return self._tags.channels
 
-    @property
-    def tag_remarks(self) -> list[str]:
-        """Remarks on channels and directions, for callers that keep only the frames."""
+    def tag_remarks(self, kept: Container[str]) -> list[str]:
+        """Return remarks on "channels" and "directions", but for those that are kept."""
         return [
-            *self._tags.channel_remarks(self.name_of),
-            *self._tags.direction_remarks(),
+            *([] if "channels" in kept else self._tags.channel_remarks(self.name_of)),
+            *([] if "directions" in kept else self._tags.direction_remarks()),
         ]
 
     @property

@@ -53,6 +53,10 @@ _FD: Final = ("FD", "FB", "FE", "BI")
 _DAY_ONE: Final = dt.datetime(1899, 12, 30)
 _DAY_NS: Final = 86_400 * 10**9
 
+# A start has ten places of a day, 8.64 us each. 25 of them are whole microseconds: a start that is
+# written is a multiple of these, so that it reads back exactly.
+_START_STEP_NS: Final = 216_000
+
 _HEADER: Final = re.compile(rb"(?:\xef\xbb\xbf)?;\$FILEVERSION=", re.IGNORECASE)
 _OLD_HEADER: Final = re.compile(rb"^;[^\r\n]*(?:PCAN|PEAK|CAN activities)", re.MULTILINE)
 _OLD_LINE: Final = re.compile(rb"^ *\d+\) +\d+(?:\.\d+)? ", re.MULTILINE)
@@ -100,14 +104,15 @@ class Writer:
 
     def _begin(self, frames: FrameArray) -> None:
         self._begun = True
-        # Ten places of a day are 8.64 us: with whole milliseconds the start reads back exactly.
-        start_ns = first_date(frames, step_ns=1_000_000)
-        self._lines.state.start_ns = start_ns
-        start = ""
+        start_ns, start = first_date(frames, step_ns=1_000_000), ""
         if start_ns:
-            since = local_date(start_ns, self._tz).replace(tzinfo=None) - _DAY_ONE
-            fraction = round((since.seconds + since.microseconds / 1e6) / 86_400 * 10**10)
-            start = f";$STARTTIME={since.days}.{fraction:010}\n"
+            date = local_date(start_ns, self._tz).replace(tzinfo=None)
+            since = date - _DAY_ONE
+            of_day = (since.seconds * 1_000_000 + since.microseconds) * 1_000
+            start_ns -= of_day % _START_STEP_NS
+            places = of_day // _START_STEP_NS * (_START_STEP_NS * 10**10 // _DAY_NS)
+            start = f";$STARTTIME={since.days}.{places:010}\n"
+        self._lines.state.start_ns = start_ns
         self._file.write(
             f";$FILEVERSION=2.1\n{start};$COLUMNS=N,O,T,B,I,d,R,L,D\n;\n"
             ";   Number, time in ms, type, bus, id, direction, reserved, dlc, data\n"

@@ -18,12 +18,11 @@ static int check(const canser_text *self, const canser_frame *frames, const uint
         return CANSER_NULL;
     if (misaligned(frames, _Alignof(canser_frame)))
         return CANSER_MISALIGNED;
-    const span all[] = {span_of(frames, frame_cap, sizeof *frames), span_of(channels, frame_cap, 1),
-                        span_of(directions, frame_cap, 1), span_of(bytes, byte_cap, 1)};
-    for (size_t i = 0; i < 4; i++)
-        for (size_t j = 0; j < i; j++)
-            if (spans_meet(all[i], all[j]))
-                return CANSER_OVERLAP;
+    const span text = span_of(bytes, byte_cap, 1);
+    if (spans_meet(text, span_of(frames, frame_cap, sizeof *frames)) ||
+        spans_meet(text, span_of(channels, frame_cap, 1)) ||
+        spans_meet(text, span_of(directions, frame_cap, 1)))
+        return CANSER_OVERLAP;
     return CANSER_OK;
 }
 
@@ -76,8 +75,16 @@ int canser_text_read(canser_text *self, const uint8_t *data, size_t data_len, ca
         return CANSER_NULL;
     const int status = check(self, rows->frames, rows->channels, rows->directions, rows->frame_cap,
                              data, data_len);
-    if (status || !data_len)
+    const span frames = span_of(rows->frames, rows->frame_cap, sizeof *rows->frames),
+               channels = span_of(rows->channels, rows->frame_cap, 1),
+               directions = span_of(rows->directions, rows->frame_cap, 1);
+    if (status)
         return status;
+    if (spans_meet(frames, channels) || spans_meet(frames, directions) ||
+        spans_meet(channels, directions))
+        return CANSER_OVERLAP;
+    if (!data_len)
+        return CANSER_OK;
 
     const uint8_t *p = data;
     if (data_len > LINE_WINDOW)
