@@ -52,8 +52,10 @@ class Input:
     TypeError for a source that is no path and no file open for reading bytes.
     """
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: Source, *, below: "Input | None" = None) -> None:
+        """Open a file; `below` is an Input that `source` reads: it is closed, too, at the end."""
         _check_source(source)
+        self._below = below
         self._opened: BinaryIO | None = None
         if isinstance(source, (str, os.PathLike)):
             # Unbuffered, so that a pipe's bytes are given as they come.
@@ -83,6 +85,8 @@ class Input:
         """Let go of the file; close it if it was opened here."""
         self._view = memoryview(b"")  # a map holds a descriptor of its own
         self._memory = bytearray()
+        if self._below is not None:
+            self._below.close()
         if self._opened is not None:
             self._opened.close()
 

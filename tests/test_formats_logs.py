@@ -203,7 +203,7 @@ def test_arrays_for_channels_and_directions_are_filled(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="directions has room for 1 frames; make it at least 2"):
         canser.blocks(tmp_path / "x.log", out=out, directions=directions[:1])
     with pytest.raises(TypeError, match="channels"):
-        canser.read(tmp_path / "x.log", channels=np.zeros(4))
+        canser.read(tmp_path / "x.log", channels=np.zeros(4))  # type: ignore[arg-type]
 
 
 def test_only_one_array_warns_of_the_other(tmp_path: Path) -> None:

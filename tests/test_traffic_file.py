@@ -1,7 +1,7 @@
 """What `play` and `simulate` take for frames to send: nothing else may reach a bus."""
 
+import bz2
 import contextlib
-import gzip
 import os
 import select
 import signal
@@ -63,7 +63,7 @@ NOISE = np.random.default_rng(1).bytes(20_000)
 REFUSED = {
     "BUSMASTER": (BUSMASTER.encode(), "serial", BAD_DATA, "is a BUSMASTER log, not raw bytes"),
     "BUSMASTER in cantalope": (BUSMASTER.encode(), "cantalope", BAD_DATA, "is a BUSMASTER log"),
-    "gzip": (gzip.compress(SEEED), "seeed", BAD_DATA, "packed by gzip"),
+    "bzip2": (bz2.compress(SEEED), "seeed", BAD_DATA, "packed by bzip2"),
     "BLF": (b"LOGG" + NOISE, "cantalope", BAD_DATA, "BLF"),
     "another protocol": (SEEED, "serial", BAD_DATA, "look like seeed (100%), not like serial"),
     "another protocol in cantalope": (SEEED, "cantalope", BAD_DATA, "look like seeed (100%)"),

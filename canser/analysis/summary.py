@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from canser._core.stream import Control
 from canser._frames import FrameArray
+from canser._input import Input
 from canser.analysis import report
 from canser.analysis.ids import ID_DTYPE, IdRows, IdStatistics
 from canser.analysis.plain import to_plain
@@ -20,6 +21,7 @@ from canser.codec.decoder import Stats
 from canser.errors import NoProtocolError
 from canser.files.dates import date_text
 from canser.files.fits import Fit, identify
+from canser.files.packed import unpacked
 from canser.files.reading import (
     Blocks,
     FilePart,
@@ -32,6 +34,9 @@ from canser.files.reading import (
 from canser.recording.header import RecordingInfo
 
 __all__ = ["FileInfo", "info", "rank_protocols", "summarise"]
+
+# Bytes of a packed file by which its protocol is found. Of others it is found by all bytes.
+_SAMPLE_LEN: Final = 1 << 20
 
 _ROW_DTYPE: Final[np.dtype[np.void]] = np.dtype(
     [
@@ -339,6 +344,9 @@ def rank_protocols(source: Source) -> list[Fit]:
         return []
     if not Path(source).is_file() or not Path(source).stat().st_size:
         return []
+    with Input(source) as file, unpacked(file) as plain:
+        if plain is not file:
+            return identify(plain.at(0, _SAMPLE_LEN))
     return identify(np.memmap(source, np.uint8, mode="r"))
 
 

@@ -4,7 +4,7 @@ import argparse
 import dataclasses
 from typing import Any
 
-from canser._output import check_apart, whole_file
+from canser._output import check_apart
 from canser._progress import Progress
 from canser.analysis import report
 from canser.commands._parser import GOOD, CallError, Commands, add_command, write_line
@@ -21,6 +21,7 @@ from canser.commands._source import (
     write_remarks,
 )
 from canser.files.formats import RAW
+from canser.files.packed import packed_file
 from canser.files.reading import Blocks
 from canser.files.writer import WriteOptions
 from canser.files.writing import (
@@ -131,7 +132,7 @@ def run(args: argparse.Namespace) -> int:
         options = WriteOptions(
             protocol=args.protocol, ts_unit=args.ts_unit or "ms", strict=args.strict, tz=args.tz
         )
-        with whole_file(args.target, force=args.force) as target:
+        with packed_file(args.target, force=args.force) as target:
             done = convert_opened(source, target, to, options, chosen)
             check_found(source, as_is=args.as_is)
         stats = source.stats

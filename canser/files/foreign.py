@@ -30,10 +30,8 @@ TEXT: Final = Foreign("a text", "canser does not know what it holds")
 
 # Formats by the first bytes of a file.
 _MAGICS: Final = (
-    (b"\x1f\x8b\x08", Foreign("packed by gzip", f"{_UNPACK}: gunzip FILE")),
     (b"BZh", Foreign("packed by bzip2", f"{_UNPACK}: bunzip2 FILE")),
     (b"\xfd7zXZ\0", Foreign("packed by xz", f"{_UNPACK}: unxz FILE")),
-    (b"\x28\xb5\x2f\xfd", Foreign("packed by zstd", f"{_UNPACK}: unzstd FILE")),
     (b"PK\x03\x04", Foreign("a zip archive", f"{_UNPACK}: unzip FILE")),
     (b"LOGG", Foreign("a Vector BLF log", _PYTHON_CAN)),
     (b"MDF     ", Foreign("an ASAM MF4 log", _PYTHON_CAN)),

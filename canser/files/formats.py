@@ -28,6 +28,7 @@ from canser.errors import CanserWarning, ForeignFormatError
 from canser.files import asc, candump, csv, gvret, npy, raw, recordings, trc
 from canser.files.foreign import HEAD_LEN, TEXT, recognise
 from canser.files.judge import is_auto
+from canser.files.packed import without_packing
 from canser.files.reader import DecodedReader, Reader, ReadOptions
 from canser.files.writer import WriteOptions, Writer
 from canser.recording.header import starts_recording
@@ -134,7 +135,7 @@ def find_format(name: str) -> Format:
 
 def format_of_name(path: str) -> str | None:
     """Return the name of the format that has the suffix of a file's name, None if none has."""
-    file_name = PurePath(path).name.lower()
+    file_name = PurePath(without_packing(path)).name.lower()
     for formats in (BUILT_IN, _all() if "." in file_name else {}):
         found = [
             (len(suffix), -place, name)

@@ -86,11 +86,7 @@ class LineReader(TaggedReader):
             left = len(data) - taken.used
             end = _find_end(data, taken.used)
             if end:
-                try:
-                    self._take_line(bytes(data[taken.used : end]))
-                except FormatError:
-                    yield  # the frames before it
-                    raise
+                self._take_line(bytes(data[taken.used : end]))
                 if self._count == len(self._frames):
                     yield
             elif left >= _LINE_MOST:

@@ -33,6 +33,7 @@ from canser.errors import CanserWarning, FormatError
 from canser.files.dates import date_ns, date_text
 from canser.files.formats import choose_format, find_format
 from canser.files.judge import check_protocol
+from canser.files.packed import unpacked
 from canser.files.raw import RawReader
 from canser.files.reader import Reader, ReadOptions
 from canser.files.tags import RECEIVED, Tagged
@@ -358,6 +359,9 @@ class Blocks(Uncopied, Iterator[FrameArray]):
                 warnings.warn(f"{doubt}; as_is=True accepts them", CanserWarning, stacklevel=2)
             self._warns = False  # once
             raise
+        except BaseException:
+            self.close()  # no more blocks can come
+            raise
         block = self._tags.frames
         self._fill_codes(self._tags)
         if self._progress is not None:
@@ -570,6 +574,8 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         """Find the format of the last input, and make its reader."""
         source, options = self._inputs[-1], self._options
         with named(source.name):
+            if not (options.as_is and options.protocol is not None):
+                source = self._inputs[-1] = unpacked(source)
             name = choose_format(source, options, self._format)
             reader = find_format(name).read(source, options)
         if options.bus is not None and not reader.has_buses:

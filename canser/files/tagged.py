@@ -59,10 +59,19 @@ class TaggedReader(Reader):
 
     def blocks(self, ends: Callable[[], bool]) -> Iterator[FrameArray]:  # noqa: ARG002
         """Yield the frames, block by block. No frame continues in the next file."""
-        for _ in self._fill():
+        fill, error = self._fill(), None
+        while error is None:
+            try:
+                next(fill)
+            except StopIteration:
+                break
+            except (FormatError, OSError) as found:
+                error = found  # the frames before it come first
             block = self._take()
             if block is not None:
                 yield block
+        if error is not None:
+            raise error
         self._check_bus()
 
     def _take(self) -> FrameArray | None:

@@ -13,12 +13,13 @@ import numpy as np
 from canser._checks import type_name
 from canser._core.text import Codes
 from canser._frames import FRAME_DTYPE, FrameArray, refuse_mask
-from canser._output import check_apart, whole_file
+from canser._output import check_apart
 from canser._protocols import protocol as protocol_of
 from canser._protocols import protocols, tick_ns
 from canser.errors import CanserWarning, FormatError
 from canser.files.formats import PCAPNG, RAW, find_format, format_names, format_of_name
 from canser.files.judge import check_protocol, is_auto
+from canser.files.packed import packed_file, without_packing
 from canser.files.raw import RawReader
 from canser.files.reader import ReadOptions
 from canser.files.reading import START, Blocks, Sources, checked_options, listed
@@ -63,6 +64,11 @@ def choose_target(path: str, given: str | None) -> str:
         )
     if find_format(chosen).write is None:
         raise ValueError(f"{path}: canser reads {chosen}, and does not write it")
+    if chosen == PCAPNG and without_packing(path) != path:
+        raise ValueError(
+            f"{path}: a recording is made safe on the disk as it grows, and cannot be packed; name "
+            f"it {without_packing(path)}"
+        )
     return chosen
 
 
@@ -191,7 +197,7 @@ def write(
         if channels is not None or directions is not None:
             raise ValueError("channels and directions go with one array of frames")
         tagged = (_tagged(each) for each in frames)
-    with whole_file(name, force=force) as file:
+    with packed_file(name, force=force) as file:
         done = _write_all(tagged, file, chosen, options)
     for remark in done.remarks:
         warnings.warn(f"{name}: {remark}", CanserWarning, stacklevel=2)
@@ -326,7 +332,7 @@ def convert(
     writing = WriteOptions(protocol=protocol, ts_unit=ts_unit or "ms", strict=strict, tz=tz)
     with open_to_convert(source, options, format=format, sort=sort) as blocks:
         check_target(chosen, protocol, blocks.format)
-        with whole_file(name, force=force) as file:
+        with packed_file(name, force=force) as file:
             done = convert_opened(blocks, file, chosen, writing)
             notes = blocks.notes
             if notes.doubt and not as_is:
