@@ -42,6 +42,7 @@ def room(module: str) -> str:
 WHERE_USED = {
     "backports": {"canser.files.packed"},
     "compression": {"canser.files.packed"},  # Python's own from 3.14 on
+    "pyarrow": {"canser.files.columns", "canser.files.parquet"},
     "rich": {"canser._progress", "canser.monitoring._table", "canser.monitoring.monitor"},
     "shtab": {"canser.commands.cli"},
     "serial": {"canser.live.line", "canser.live.ports", "canser.live.rfc2217"},

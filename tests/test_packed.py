@@ -65,7 +65,7 @@ def test_of_a_cut_file_the_frames_before_come_first(tmp_path: Path, packing: str
     frames["data"] = noise.integers(0, 256, frames["data"].shape)  # so that it packs badly
     canser.write(frames, path)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    before = []
+    before: list[int] = []
     with pytest.raises(FormatError, match=rf"x\.log{packing} is cut off") as error:
         before.extend(map(len, canser.blocks(path)))
     assert sum(before) > len(frames) // 4

@@ -41,7 +41,6 @@ _MAGICS: Final = (
     (b"\x4d\x3c\xb2\xa1", Foreign("a pcap file", "Wireshark reads it")),
     (b"\xa1\xb2\x3c\x4d", Foreign("a pcap file", "Wireshark reads it")),
     (b"SQLite format 3\0", Foreign("a SQLite database", "python-can reads those it wrote")),
-    (b"PAR1", Foreign("a Parquet file", "pandas or polars reads it")),
     (b"\x89HDF\r\n\x1a\n", Foreign("an HDF5 file", "h5py reads it")),
 )
 

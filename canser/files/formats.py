@@ -25,7 +25,7 @@ from typing import Any, BinaryIO, Final
 
 from canser._input import Input
 from canser.errors import CanserWarning, ForeignFormatError
-from canser.files import asc, candump, csv, gvret, npy, raw, recordings, trc
+from canser.files import arrow, asc, candump, csv, gvret, npy, parquet, raw, recordings, trc
 from canser.files.foreign import HEAD_LEN, TEXT, recognise
 from canser.files.judge import is_auto
 from canser.files.packed import without_packing
@@ -57,11 +57,13 @@ Format = Any
 BUILT_IN: Final[dict[str, Any]] = {
     RAW: raw,
     PCAPNG: recordings,
+    "arrow": arrow,
     "asc": asc,
     "candump": candump,
     "csv": csv,
     "gvret": gvret,
     "npy": npy,
+    "parquet": parquet,
     "trc": trc,
 }
 

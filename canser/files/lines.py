@@ -3,7 +3,10 @@
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
+import numpy as np
+
 from canser._core.text import Taken, TextReader
+from canser._frames import NO_TIME, FrameArray
 from canser._input import Input
 from canser._rows import Row
 from canser.errors import FormatError
@@ -17,6 +20,10 @@ BLANKS: Final = " \t\r\n\v\f"
 
 # Limit for a line of text, in bytes. A line of a frame has under 200; a longer one is no text.
 _LINE_MOST: Final = 1 << 16
+
+# The share of steps back above which times may be differences; and the fewest steps back that tell.
+_STEPS_BACK_SHARE: Final = 0.01
+_STEPS_BACK_LEAST: Final = 10
 
 _NOTHING: Final = Taken(0, 0, 0)
 
@@ -57,6 +64,9 @@ class LineReader(TaggedReader):
         self._bad_count = 0
         self._xl_count = 0
         self._is_cut = False
+        self._steps = self._steps_back = 0
+        self._last_ns = NO_TIME
+        self._sum_ns = 0  # of the differences so far, with times="delta"
         self.bytes_done = 0
 
     def _new_rows(self) -> None:
@@ -69,6 +79,21 @@ class LineReader(TaggedReader):
     def _parse(self, text: str) -> Line | None:
         """Return what a line says; None if it is no frame. ValueError if it cannot be read."""
         raise NotImplementedError
+
+    def _see_times(self, frames: FrameArray) -> None:
+        ts = frames["ts"]
+        known = ts != NO_TIME
+        times = ts[known]
+        if not len(times):
+            return
+        if self._options.times == "delta":
+            times = np.cumsum(times) + self._sum_ns
+            self._sum_ns = int(times[-1])
+            ts[known] = times
+        self._steps += len(times)
+        self._steps_back += int(np.count_nonzero(times[1:] < times[:-1]))
+        self._steps_back += int(times[0] < self._last_ns)
+        self._last_ns = int(times[-1])
 
     def _fill(self) -> Iterator[None]:
         source = self._source
@@ -156,6 +181,11 @@ class LineReader(TaggedReader):
             "CAN XL frames, left out": self._xl_count,
         }
         remarks += [f"{what}: {count:,}" for what, count in counts.items() if count]
+        if self._steps_back >= max(self._steps * _STEPS_BACK_SHARE, _STEPS_BACK_LEAST):
+            remarks.append(
+                f"times go back {self._steps_back:,} times; if they are differences, "
+                "times='delta' (--times delta) adds them up"
+            )
         if self._bad_count:
             number, why = self._bad[0]
             remarks.append(

@@ -99,7 +99,7 @@ def _gzip() -> Any:
 
 def _zstd() -> Any:
     try:
-        from compression import zstd  # type: ignore[import-not-found] # noqa: PLC0415 - Python 3.14
+        from compression import zstd  # noqa: PLC0415 - from Python 3.14 on
     except ImportError:
         from backports import zstd  # noqa: PLC0415 - an optional extra
     return zstd

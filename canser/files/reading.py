@@ -36,7 +36,7 @@ from canser.files.judge import check_protocol
 from canser.files.packed import unpacked
 from canser.files.raw import RawReader
 from canser.files.reader import Reader, ReadOptions
-from canser.files.tags import RECEIVED, Tagged
+from canser.files.tags import RECEIVED, Tagged, joined
 from canser.recording.header import RecordingInfo
 
 __all__ = [
@@ -710,28 +710,20 @@ class _Order:
 
 def _sorted(blocks: Iterator[Tagged], out: FrameArray | None) -> Generator[Tagged, None, None]:
     """Yield all frames in the order of their times; first those without a time."""
-    parts, channels, directions = [], [], []
-    for block in blocks:
-        count = len(block.frames)
-        parts.append(copy_records(block.frames))
-        channels.append(_codes(block.channels, count, NO_CHANNEL))
-        directions.append(_codes(block.directions, count, RECEIVED))
-    whole = concat(parts)
-    order = np.argsort(whole["ts"], kind="stable")
-    ordered = whole.take(order)
-    all_channels = np.concatenate(channels).take(order) if channels else np.empty(0, np.uint8)
-    all_directions = np.concatenate(directions).take(order) if channels else np.empty(0, np.uint8)
+    kept = [block.map(copy_records) for block in blocks]
+    if not kept:
+        return
+    whole = joined(kept)
+    order = np.argsort(whole.frames["ts"], kind="stable")
+    ordered = whole.map(lambda array: array.take(order))
     size = _SORTED_BLOCK if out is None else len(out)
-    for at in range(0, len(ordered), size):
-        frames = ordered[at : at + size]
+    for at in range(0, len(order), size):
+        block = ordered.map(lambda array: array[at : at + size])  # noqa: B023 - called here
         if out is not None:
-            put_records(out[: len(frames)], frames)
-            frames = out[: len(frames)]
-        yield Tagged(frames, all_channels[at : at + size], all_directions[at : at + size])
-
-
-def _codes(codes: Codes | None, count: int, unknown: int) -> Codes:
-    return np.full(count, unknown, np.uint8) if codes is None else codes.copy()
+            count = len(block.frames)
+            put_records(out[:count], block.frames)
+            block = block._replace(frames=out[:count])
+        yield block
 
 
 def listed(source: Sources) -> list[Source]:

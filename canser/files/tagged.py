@@ -5,7 +5,7 @@ from collections.abc import Callable, Container, Iterator
 import numpy as np
 
 from canser._core.text import NO_CHANNEL, SENT, Codes
-from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, put_records
+from canser._frames import FRAME_DTYPE, FrameArray, put_records
 from canser._input import Input
 from canser._rows import Row
 from canser.errors import FormatError
@@ -16,10 +16,6 @@ __all__ = ["TaggedReader"]
 
 # Frames in a block: 1.5 MiB of records.
 _BLOCK = 1 << 16
-
-# The share of steps back above which times may be differences; and the fewest steps back that tell.
-_STEPS_BACK_SHARE = 0.01
-_STEPS_BACK_LEAST = 10
 
 
 class TaggedReader(Reader):
@@ -39,9 +35,6 @@ class TaggedReader(Reader):
         self._other_buses: dict[int, int] = {}  # frames of each channel that is not read
         self._codes: dict[str, int] = {}
         self.channel_names: dict[int, str] = {}
-        self._steps = self._steps_back = 0
-        self._last_ns = NO_TIME
-        self._sum_ns = 0  # of the differences so far, with times="delta"
         self._new_rows()
 
     def _new_rows(self) -> None:
@@ -87,10 +80,8 @@ class TaggedReader(Reader):
             frames, channels, directions = self._select_bus(frames, channels, directions)
         if not len(frames):
             return None
-        if self._options.times == "delta":
-            self._add_up(frames)
+        self._see_times(frames)
         self._tags.add(channels, directions, len(frames))
-        self._count_steps(frames)
         self.tags = Tagged(frames, channels, directions)
         return frames
 
@@ -130,20 +121,8 @@ class TaggedReader(Reader):
             return str(code + self.first_channel)
         return self.channel_names.get(code, "not told")
 
-    def _add_up(self, frames: FrameArray) -> None:
-        """Replace differences of times by their sums."""
-        known = frames["ts"] != NO_TIME
-        sums = np.cumsum(frames["ts"][known]) + self._sum_ns
-        frames["ts"][known] = sums
-        if len(sums):
-            self._sum_ns = int(sums[-1])
-
-    def _count_steps(self, frames: FrameArray) -> None:
-        """Count steps of the times, and steps back."""
-        ts = frames["ts"]
-        self._steps += len(ts)
-        self._steps_back += int(np.count_nonzero(ts[1:] < ts[:-1])) + int(ts[0] < self._last_ns)
-        self._last_ns = int(ts[-1])
+    def _see_times(self, frames: FrameArray) -> None:
+        """Look at the times of a block, or change them."""
 
     def _put_row(self, row: Row, channel: int, *, sent: bool) -> None:
         """Write a frame into the next row; the caller makes sure that there is room."""
@@ -188,13 +167,5 @@ class TaggedReader(Reader):
     @property
     def remarks(self) -> list[str]:
         """Remarks on the file."""
-        remarks = []
         left_out = sum(self._other_buses.values())
-        if left_out:
-            remarks.append(f"frames of other buses, left out: {left_out:,}")
-        if self._steps_back >= max(self._steps * _STEPS_BACK_SHARE, _STEPS_BACK_LEAST):
-            remarks.append(
-                f"times go back {self._steps_back:,} times; if they are differences, "
-                "times='delta' (--times delta) adds them up"
-            )
-        return remarks
+        return [f"frames of other buses, left out: {left_out:,}"] if left_out else []

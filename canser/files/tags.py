@@ -6,9 +6,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from canser._core.text import NO_CHANNEL, SENT, Codes
-from canser._frames import FrameArray
+from canser._frames import FrameArray, concat
 
-__all__ = ["RECEIVED", "TagCounts", "Tagged", "channel_code", "listed", "printable"]
+__all__ = ["RECEIVED", "TagCounts", "Tagged", "channel_code", "joined", "listed", "printable"]
 
 # The direction of a frame that the program received which wrote the file, or that no one told.
 RECEIVED: Final = 0
@@ -35,6 +35,24 @@ class Tagged(NamedTuple):
             None if codes is None else change(codes) for codes in (self.channels, self.directions)
         )
         return Tagged(change(self.frames), channels, directions)
+
+
+def joined(blocks: list[Tagged]) -> Tagged:
+    """Return blocks as one, with all channels and directions that are told."""
+    frames = concat([block.frames for block in blocks])
+
+    def codes(name: str, unknown: int) -> Codes | None:
+        parts = [getattr(block, name) for block in blocks]
+        if all(part is None for part in parts):
+            return None
+        return np.concatenate(
+            [
+                np.full(len(block.frames), unknown, np.uint8) if part is None else part
+                for part, block in zip(parts, blocks, strict=True)
+            ]
+        )
+
+    return Tagged(frames, codes("channels", NO_CHANNEL), codes("directions", RECEIVED))
 
 
 class TagCounts:

@@ -30,7 +30,8 @@ class Writer(Protocol):
     """Writes frames into a file.
 
     A writer with the attribute `takes_tags` also takes the channels and directions of frames:
-    `write(frames, channels, directions)`, each an array of uint8 or None.
+    `write(frames, channels, directions)`, each an array of uint8 or None. A method `abandon`, if
+    there is one, is called after an error instead of `finish`.
     """
 
     def write(self, frames: FrameArray) -> None:

@@ -378,19 +378,28 @@ def _write_all(
     takes_tags = getattr(writer, "takes_tags", False)
     counts = TagCounts()
     done = Converted()
-    for frames, channels, directions in blocks:
-        if takes_tags:
-            writer.write(frames, channels, directions)
-        else:
-            writer.write(frames)
-            counts.add(channels, directions, len(frames))
-        done.frames += len(frames)
+    try:
+        for frames, channels, directions in blocks:
+            if takes_tags:
+                writer.write(frames, channels, directions)
+            else:
+                writer.write(frames)
+                counts.add(channels, directions, len(frames))
+            done.frames += len(frames)
+        last = writer.finish()
+    except BaseException:
+        getattr(writer, "abandon", _nothing)()
+        raise
     names = options.channel_names
     done.remarks += counts.channel_remarks(lambda code: names.get(code, str(code)))
-    done.remarks += [*counts.direction_remarks(), *writer.finish()]
+    done.remarks += [*counts.direction_remarks(), *last]
     if to in BYTES:
         done.frames, done.bytes_out = writer.frames, writer.bytes_out
     return done
+
+
+def _nothing() -> None:
+    """End a writer that holds nothing."""
 
 
 def _copy_bytes(blocks: Blocks, file: BinaryIO, options: WriteOptions) -> Converted:
