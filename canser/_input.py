@@ -201,6 +201,11 @@ class Input:
         self._memory = cast(bytearray, room.obj)
 
     def _read_on(self, offset: int, length: int) -> None:
+        if type(self.file) is io.BytesIO and not self._head:
+            self._view = self.file.getbuffer()[self.file.tell() :].toreadonly()  # not copied
+            self.file.seek(0, io.SEEK_END)
+            self._head += self._view[:HEAD_LEN]
+            return
         # New memory, as views of the old one are in use.
         parts: list[bytes | memoryview] = [self._view[offset - self._base :]]
         held = len(parts[0])

@@ -629,7 +629,9 @@ typedef struct {
     uint8_t is_dated;    /* written, candump: 1: times are dates, in UTC */
     uint8_t name_count;  /* of `names`, which canser_text_add_name() adds */
     canser_channel_name names[CANSER_NAMES_MAX]; /* candump: names of channels */
-    uint64_t fd_count;                           /* read: lines of CAN FD, left out */
+    uint64_t steps_back;    /* read: times that lie before that of the frame before */
+    int64_t before_ns;      /* read: the time of the frame before */
+    uint64_t fd_count;      /* read: lines of CAN FD, left out */
     uint64_t cut_times;     /* written: times that lost places which the format does not have */
     uint64_t unknown_times; /* written: frames without a time */
     uint64_t error_frames;  /* written, asc and trc: error frames, whose id and data are lost */

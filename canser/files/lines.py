@@ -64,8 +64,8 @@ class LineReader(TaggedReader):
         self._bad_count = 0
         self._xl_count = 0
         self._is_cut = False
-        self._steps = self._steps_back = 0
-        self._last_ns = NO_TIME
+        self._frames_seen = 0
+        self._c.state.before_ns = NO_TIME
         self._sum_ns = 0  # of the differences so far, with times="delta"
         self.bytes_done = 0
 
@@ -81,19 +81,14 @@ class LineReader(TaggedReader):
         raise NotImplementedError
 
     def _see_times(self, frames: FrameArray) -> None:
-        ts = frames["ts"]
-        known = ts != NO_TIME
-        times = ts[known]
-        if not len(times):
-            return
+        self._frames_seen += len(frames)
         if self._options.times == "delta":
-            times = np.cumsum(times) + self._sum_ns
-            self._sum_ns = int(times[-1])
-            ts[known] = times
-        self._steps += len(times)
-        self._steps_back += int(np.count_nonzero(times[1:] < times[:-1]))
-        self._steps_back += int(times[0] < self._last_ns)
-        self._last_ns = int(times[-1])
+            ts = frames["ts"]
+            known = ts != NO_TIME
+            times = np.cumsum(ts[known]) + self._sum_ns
+            if len(times):
+                self._sum_ns = int(times[-1])
+                ts[known] = times
 
     def _fill(self) -> Iterator[None]:
         source = self._source
@@ -154,6 +149,9 @@ class LineReader(TaggedReader):
             line = self._read_line(raw)
             if line is not None:
                 code = self._code(line.channel)
+                if line.row[-1] != NO_TIME:
+                    self._c.state.steps_back += line.row[-1] < self._c.state.before_ns
+                    self._c.state.before_ns = line.row[-1]
                 self._put_row(line.row, code, sent=(line.direction or "")[:1] in ("T", "t"))
         except ValueError as error:
             if is_last and (self._count or self._tags.any):
@@ -181,9 +179,11 @@ class LineReader(TaggedReader):
             "CAN XL frames, left out": self._xl_count,
         }
         remarks += [f"{what}: {count:,}" for what, count in counts.items() if count]
-        if self._steps_back >= max(self._steps * _STEPS_BACK_SHARE, _STEPS_BACK_LEAST):
+        back = self._c.state.steps_back
+        share = self._frames_seen * _STEPS_BACK_SHARE
+        if back >= max(share, _STEPS_BACK_LEAST) and self._options.times is None:
             remarks.append(
-                f"times go back {self._steps_back:,} times; if they are differences, "
+                f"times go back {back:,} times; if they are differences, "
                 "times='delta' (--times delta) adds them up"
             )
         if self._bad_count:

@@ -29,6 +29,7 @@ from canser._input import Input, Source
 from canser._named import named
 from canser._protocols import protocols
 from canser.codec.decoder import Decoder, Stats, add_stats, check_threads
+from canser.codec.growing import GrowingFrames
 from canser.errors import CanserWarning, FormatError
 from canser.files.dates import date_ns, date_text
 from canser.files.formats import choose_format, find_format
@@ -60,6 +61,9 @@ Sources = Source | Sequence[Source]
 
 # The epoch of `convert`: the start that a file names, nothing if it names none.
 START: Final = "start"
+
+# Frames that are read at a time, to be copied into one array: 1.5 MiB, which stay in a cache.
+_ROOM = 1 << 16
 
 # Frames in a block after sorting: 1.5 MiB of records.
 _SORTED_BLOCK = 1 << 16
@@ -312,14 +316,19 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         progress: Progress | None = None,
         sort: bool = False,
         warns: bool = False,
+        gathers: bool = False,
     ) -> None:
-        """Open files. With `warns` what is to be known of them is a warning, else only a note."""
+        """Open files.
+
+        With `warns` what is to be known of them is a warning, else only a note. With `gathers`
+        channels and directions of all blocks go into the caller's arrays, one behind the other.
+        """
         self.sources = listed(source)
         if len(self.sources) > 1:
             # Formats may mix: the protocol is that of the raw bytes among them.
             options = dataclasses.replace(options, raw_only=True)
         self._options, self._format, self._progress = options, format, progress
-        self._warns = warns
+        self._warns, self._gathers = warns, gathers
         # What the caller takes besides frames: there is no note that it is lost.
         self._kept = {
             name for name in ("channels", "directions") if getattr(options, name) is not None
@@ -380,14 +389,14 @@ class Blocks(Uncopied, Iterator[FrameArray]):
     def _fill_codes(self, tagged: Tagged) -> None:
         """Fill the arrays that the caller gave for channels and directions."""
         options, count = self._options, len(tagged.frames)
-        first = 0 if options.out is not None else self._count
+        first = self._count if self._gathers else 0
         self._count += count
         for array, codes, unknown in (
             (options.channels, tagged.channels, NO_CHANNEL),
             (options.directions, tagged.directions, RECEIVED),
         ):
             if array is not None:
-                if self._count > len(array) and options.out is None:
+                if self._count > len(array) and self._gathers:
                     raise ValueError(
                         f"channels or directions has room for {len(array)} frames; the files hold "
                         "more"
@@ -750,6 +759,20 @@ def _total(sources: list[Source]) -> int | None:
     return total
 
 
+def _gather(opened: Blocks) -> FrameArray:
+    """Return the frames of all blocks, which are filled into one array again and again."""
+    array = GrowingFrames(_ROOM)
+    for block in opened:
+        need = array.count + len(block)
+        if array.room < len(block):
+            done, total = opened.bytes_done, opened.bytes_total
+            expected = int(need * total / done * 1.02) if done and total else 0
+            array.grow(max(min(expected, 64 * need), 2 * need))
+        put_records(array.frames[array.count : need], block)
+        array.count = need
+    return array.result()
+
+
 def _is_cheap(source: Source) -> bool:
     """Return whether a file may be opened one more time, only to measure it."""
     return not isinstance(source, (str, os.PathLike)) or Path(source).is_file()
@@ -860,7 +883,9 @@ def read(
     )
     output_offsets(offsets, 0)
     _check_codes(options, 0)
-    opened = Blocks(source, options, format=format, sort=sort)
+    if not sort:
+        options = dataclasses.replace(options, out=np.empty(_ROOM, FRAME_DTYPE))
+    opened = Blocks(source, options, format=format, sort=sort, gathers=True)
     with opened:
         reader = opened._begin()  # a pipe is waited for
         alone = len(opened.sources) == 1 and not sort and epoch is None
@@ -870,7 +895,7 @@ def read(
         elif offsets is not None:
             raise ValueError("offsets are those of one file of raw bytes, or of one recording")
         else:
-            frames = concat(opened)
+            frames = concat(opened) if sort else _gather(opened)
         notes = opened.notes
     for remark in notes.lines if as_is else notes.all_lines:
         warnings.warn(remark, CanserWarning, stacklevel=2)

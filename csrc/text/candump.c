@@ -41,7 +41,7 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
     uint8_t data[DLC_MAX] = {0};
     int64_t ts;
 
-    p = take_char(take_fixed(take_char(p, '('), 9, &ts), ')');
+    p = take_char(take_seconds(take_char(p, '('), &ts), ')');
     p = take_blanks(take_name(self, take_blanks(p), &row->channel));
     if (!p)
         return NULL;

@@ -9,41 +9,49 @@
  */
 #include "text.h"
 
-/* The six bits of a character of base64, plus 1; 0 for all others. */
-#define L(at, value) [at] = value + 1
+/* The six bits of a character of base64; OTHER for all others. */
+enum { OTHER = 0x80 };
+#define A_TO_Z(first)                                                                              \
+    first, first + 1, first + 2, first + 3, first + 4, first + 5, first + 6, first + 7, first + 8, \
+        first + 9, first + 10, first + 11, first + 12, first + 13, first + 14, first + 15,         \
+        first + 16, first + 17, first + 18, first + 19, first + 20, first + 21, first + 22,        \
+        first + 23, first + 24, first + 25
+#define NO_8  OTHER, OTHER, OTHER, OTHER, OTHER, OTHER, OTHER, OTHER
+#define NO_32 NO_8, NO_8, NO_8, NO_8
 static const uint8_t bits_of[256] = {
-    L('A', 0),  L('B', 1),  L('C', 2),  L('D', 3),  L('E', 4),  L('F', 5),  L('G', 6),  L('H', 7),
-    L('I', 8),  L('J', 9),  L('K', 10), L('L', 11), L('M', 12), L('N', 13), L('O', 14), L('P', 15),
-    L('Q', 16), L('R', 17), L('S', 18), L('T', 19), L('U', 20), L('V', 21), L('W', 22), L('X', 23),
-    L('Y', 24), L('Z', 25), L('a', 26), L('b', 27), L('c', 28), L('d', 29), L('e', 30), L('f', 31),
-    L('g', 32), L('h', 33), L('i', 34), L('j', 35), L('k', 36), L('l', 37), L('m', 38), L('n', 39),
-    L('o', 40), L('p', 41), L('q', 42), L('r', 43), L('s', 44), L('t', 45), L('u', 46), L('v', 47),
-    L('w', 48), L('x', 49), L('y', 50), L('z', 51), L('0', 52), L('1', 53), L('2', 54), L('3', 55),
-    L('4', 56), L('5', 57), L('6', 58), L('7', 59), L('8', 60), L('9', 61), L('+', 62), L('/', 63),
+    NO_32,      NO_8,  OTHER, OTHER, OTHER, 62,        OTHER, OTHER, OTHER, 63, /* + / */
+    52,         53,    54,    55,    56,    57,        58,    59,    60,    61,    OTHER, OTHER,
+    OTHER,      OTHER, OTHER, OTHER, OTHER, A_TO_Z(0), OTHER, OTHER, OTHER, OTHER, OTHER, OTHER,
+    A_TO_Z(26), OTHER, OTHER, OTHER, OTHER, OTHER,     NO_32, NO_32, NO_32, NO_32,
 };
-#undef L
 static const char characters[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
 
-/* `count` bytes in base64, padded. */
+/* Three bytes, or the `count` first of them, in four characters of base64, padded. */
+CANSER_INLINE const uint8_t *take_quad(const uint8_t *p, size_t count, uint8_t *data)
+{
+    const unsigned a = bits_of[p[0]], b = bits_of[p[1]], c = count > 1 ? bits_of[p[2]] : 0,
+                   d = count > 2 ? bits_of[p[3]] : 0;
+    const uint32_t bits = a << 18 | b << 12 | c << 6 | d;
+
+    if ((a | b | c | d) & OTHER || (count < 2 && p[2] != '=') || (count < 3 && p[3] != '='))
+        return NULL;
+    /* Bits behind the last byte must be zero: else two texts would mean the same. */
+    if (bits & (UINT32_C(0xFFFFFF) >> 8 * count))
+        return NULL;
+    data[0] = (uint8_t)(bits >> 16);
+    data[1] = (uint8_t)(bits >> 8);
+    data[2] = (uint8_t)bits;
+    return p + 4;
+}
+
+/* `count` bytes in base64. */
 CANSER_INLINE const uint8_t *take_base64(const uint8_t *p, size_t count, uint8_t *data)
 {
-    for (size_t at = 0; at < count; at += 3, p += 4) {
-        const size_t bytes = count - at < 3 ? count - at : 3;
-        uint32_t bits = 0;
+    size_t at = 0;
 
-        for (size_t i = 0; i < 4; i++) {
-            const unsigned six = bits_of[p[i]];
-            if (i <= bytes ? !six : p[i] != '=')
-                return NULL;
-            bits = bits << 6 | ((six - 1) & (i <= bytes ? 63u : 0u));
-        }
-        /* Bits behind the last byte must be zero: else two texts would mean the same. */
-        if (bits & (UINT32_C(0xFFFFFF) >> 8 * bytes))
-            return NULL;
-        for (size_t i = 0; i < 3; i++)
-            data[at + i] = (uint8_t)(bits >> (16 - 8 * i));
-    }
-    return p;
+    for (; p && at + 3 <= count; at += 3)
+        p = take_quad(p, 3, data + at);
+    return p && at < count ? take_quad(p, count - at, data + at) : p;
 }
 
 /* A comma, and a flag. */
@@ -62,7 +70,7 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
     uint64_t dlc;
     int64_t ts;
 
-    p = take_fixed(p, 9, &ts);
+    p = take_seconds(p, &ts);
     if (!p || p[0] != ',' || p[1] != '0' || p[2] != 'x')
         return NULL;
     const uint64_t text = load_text(p += 3);

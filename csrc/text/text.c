@@ -57,7 +57,11 @@ static const uint8_t *read_lines(canser_text *self, const uint8_t *p, const uint
         }
         rows->channels[count] = row.channel;
         rows->directions[count] = row.direction;
-        count += row.direction != SKIPPED;
+        if (CANSER_LIKELY(row.direction != SKIPPED)) {
+            self->steps_back += row.frame->ts < self->before_ns;
+            self->before_ns = row.frame->ts;
+            count++;
+        }
         rows->line_count++;
         p = next;
     }

@@ -172,6 +172,24 @@ CANSER_INLINE const uint8_t *take_fixed(const uint8_t *p, unsigned places, int64
     return p;
 }
 
+/* Seconds as most logs have them: ten digits, a point and six digits; else as take_fixed() reads
+ * them. The lengths are guessed by branches, so that the next token waits for none of these. */
+CANSER_INLINE const uint8_t *take_seconds(const uint8_t *p, int64_t *ns)
+{
+    if (!p)
+        return NULL;
+    const uint64_t high = load_text(p), fraction = load_text(p + 11);
+    const unsigned tenth = p[8] - '0', last = p[9] - '0';
+
+    if (CANSER_LIKELY(p[10] == '.' && count_digits(high) == 8 && tenth <= 9 && last <= 9 &&
+                      count_digits(fraction) == 6 && *p < '9')) {
+        const int64_t whole = (int64_t)digits_value(high, 8) * 100 + tenth * 10 + last;
+        *ns = whole * 1000000000 + (int64_t)digits_value(fraction, 6) * 1000;
+        return p + 17;
+    }
+    return take_fixed(p, 9, ns);
+}
+
 /* One character. */
 CANSER_INLINE const uint8_t *take_char(const uint8_t *p, char wanted)
 {
@@ -232,8 +250,13 @@ CANSER_INLINE const uint8_t *take_byte(const uint8_t *p, uint8_t *value)
 
     if (!high)
         return NULL;
-    *value = (uint8_t)(low ? (high - 1) << 4 | (low - 1) : high - 1);
-    return p + 1 + !!low;
+    /* A branch, which is guessed: so the next byte does not wait for this one. */
+    if (CANSER_LIKELY(low)) {
+        *value = (uint8_t)((high - 1) << 4 | (low - 1));
+        return p + 2;
+    }
+    *value = (uint8_t)(high - 1);
+    return p + 1;
 }
 
 /* `count` bytes of two hexadecimal digits, a blank before each. */

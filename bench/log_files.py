@@ -1,0 +1,216 @@
+"""Log files, read and written, beside python-can, and beside a copy of the same bytes.
+
+Rows of `table.py`. In memory: a buffer of text to an array, and back, over python-can's readers and
+writers with the same buffer and messages; for GVRET over a loop of Python's csv module, as
+python-can has none. File to file: reading by `blocks`, and writing, over a copy of the file by
+read() and write().
+"""
+
+import csv
+import io
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import canser
+import data
+from canser._frames import FrameArray
+from canser.files.formats import find_format
+from canser.files.writer import WriteOptions
+from measure import paired
+
+
+class LogRow(NamedTuple):
+    """A line of the table."""
+
+    what: str
+    protocol: str
+    reached: float
+    required: float | None
+    note: str = ""
+
+
+# Frames in memory. python-can takes about a second for them.
+COUNT = 100_000
+
+# Required over python-can: reading and writing.
+REQUIRED = {"candump": (100, 100), "csv": (50, 50), "asc": (50, 50), "trc": (50, 50),
+            "gvret": (50, 50)}  # fmt: skip
+BINARY = ("blf",)
+
+
+def traffic(count: int) -> FrameArray:
+    """Return data frames with times of whole microseconds, from a date on."""
+    frames = data.periodic(count * 11 // 10, "serial")
+    frames = frames.compress(~(frames["rtr"] | frames["err"]))[:count]
+    assert len(frames) == count
+    frames["ts"] = 1_767_225_600 * 10**9 + frames["ts"] // 1000 * 1000
+    return frames
+
+
+def to_messages(frames: FrameArray) -> list[Any]:
+    """Return frames as messages of python-can."""
+    import can  # noqa: PLC0415 - seldom used
+
+    return [
+        can.Message(
+            timestamp=float(frame["ts"] / 1e9),
+            arbitration_id=int(frame["id"]),
+            is_extended_id=bool(frame["ext"]),
+            dlc=int(frame["dlc"]),
+            data=bytes(frame["data"][: frame["dlc"]]),
+            channel=0,
+        )
+        for frame in frames
+    ]
+
+
+def written(name: str, frames: FrameArray) -> bytes:
+    """Return frames as the bytes of a file."""
+    file = io.BytesIO()
+    writer = find_format(name).write(file, WriteOptions())
+    writer.write(frames)
+    writer.finish()
+    return file.getvalue()
+
+
+def _gvret_read(text: str) -> int:
+    rows = csv.reader(io.StringIO(text))
+    next(rows)
+    found = [
+        (int(row[0]) * 1000, int(row[1], 16), row[2] == "true", row[3],
+         bytes(int(each, 16) for each in row[6 : 6 + int(row[5])]))
+        for row in rows
+    ]  # fmt: skip
+    return len(found)
+
+
+def _gvret_write(messages: list[Any]) -> str:
+    file = io.StringIO()
+    rows = csv.writer(file)
+    for message in messages:
+        kind = "true" if message.is_extended_id else "false"
+        rows.writerow(
+            [int(message.timestamp * 1e6), f"{message.arbitration_id:08X}", kind, "Rx", 0,
+             message.dlc, *(f"{byte:02X}" for byte in message.data)]
+        )  # fmt: skip
+    return file.getvalue()
+
+
+def peers(name: str, messages: list[Any]) -> tuple[Callable[[bytes], int], Callable[[], bytes]]:
+    """Return what reads a file with python-can, and what writes the messages with it."""
+    import can  # noqa: PLC0415 - seldom used
+
+    if name == "gvret":
+        return lambda raw: _gvret_read(raw.decode()), lambda: _gvret_write(messages).encode()
+    reader, writer = {
+        "candump": (can.CanutilsLogReader, can.CanutilsLogWriter),
+        "csv": (can.CSVReader, can.CSVWriter),
+        "asc": (can.ASCReader, can.ASCWriter),
+        "trc": (can.TRCReader, can.TRCWriter),
+        "blf": (can.BLFReader, can.BLFWriter),
+    }[name]
+    binary = name in BINARY
+
+    def read(raw: bytes) -> int:
+        file: Any = io.BytesIO(raw) if binary else io.StringIO(raw.decode())
+        found: Any = reader(file)
+        return sum(1 for _ in found)
+
+    def write() -> bytes:
+        below: Any = io.BytesIO()
+        below.name = name  # which the writer of TRC asks for
+        file: Any = below if binary else io.TextIOWrapper(below)
+        put = writer(file)
+        for message in messages:
+            put(message)
+        if binary:
+            file.close = lambda: None  # the writer closes what it was given
+            put.stop()
+            return bytes(file.getvalue())
+        file.flush()
+        return bytes(below.getvalue())
+
+    return read, write
+
+
+def in_memory(name: str, rounds: int) -> Iterator[LogRow]:
+    """Compare with python-can, one buffer and one set of messages for both."""
+    frames = traffic(COUNT)
+    messages = to_messages(frames)
+    read, write = peers(name, messages)
+    raw = written(name, frames)
+
+    def ours() -> FrameArray:
+        return canser.read(io.BytesIO(raw), format=name)
+
+    got = ours()
+    assert (got["id"] == frames["id"]).all(), f"reading {name} is wrong"
+    assert (got["data"] == frames["data"]).all(), f"reading {name} is wrong"
+    assert read(raw) == COUNT, f"python-can does not read {name} as it is written"
+    required_read, required_write = REQUIRED[name]
+    peer_s, our_s, ratio = paired(lambda: read(raw), ours, rounds)
+    note = f"{COUNT / our_s / 1e6:.1f} M frames/s, python-can {COUNT / peer_s / 1e3:.0f} k"
+    yield LogRow(f"read {name}, over python-can", "", ratio, required_read, note)
+    room = io.BytesIO(bytes(len(raw)))  # written over again and again
+
+    def put() -> None:
+        room.seek(0)
+        writer = find_format(name).write(room, WriteOptions())
+        writer.write(frames)
+        writer.finish()
+
+    put()
+    assert room.getvalue() == raw
+    peer_s, our_s, ratio = paired(write, put, rounds)
+    note = f"{COUNT / our_s / 1e6:.1f} M frames/s, python-can {COUNT / peer_s / 1e3:.0f} k"
+    yield LogRow(f"write {name}, over python-can", "", ratio, required_write, note)
+
+
+def file_to_file(name: str, count: int, folder: Path, rounds: int) -> Iterator[LogRow]:
+    """Compare with a copy of the file's bytes by read() and write()."""
+    frames = traffic(count)
+    path, copied = folder / f"run{find_format(name).suffixes[0]}", folder / "copy"
+    canser.write(frames, path, force=True)
+    out = frames[: 1 << 16].copy()
+
+    def copy() -> None:
+        with path.open("rb", buffering=0) as source, copied.open("wb", buffering=0) as target:
+            while piece := source.read(1 << 20):
+                target.write(piece)
+
+    def read() -> int:
+        return sum(map(len, canser.blocks(path, out=out)))
+
+    assert read() == count
+    copy_s, our_s, ratio = paired(copy, read, rounds)
+    size = path.stat().st_size
+    note = f"{size / our_s / 1e9:.2f} GB/s, copy {size / copy_s / 1e9:.2f}"
+    yield LogRow(f"blocks of {name}, over a copy", "", ratio, 0.5, note)
+    copy_s, our_s, ratio = paired(copy, lambda: canser.write(frames, path, force=True), rounds)
+    note = f"{size / our_s / 1e9:.2f} GB/s, copy {size / copy_s / 1e9:.2f}"
+    yield LogRow(f"write to {name}, over a copy", "", ratio, 0.5, note)
+
+
+def rows(rounds: int, folder: Path, count: int = 1_000_000) -> Iterator[LogRow]:
+    """Yield all rows."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for name in REQUIRED:
+            yield from in_memory(name, rounds)
+        for name in REQUIRED:
+            yield from file_to_file(name, count, folder, rounds)
+
+
+def main() -> None:
+    """Print the rows alone."""
+    import tempfile  # noqa: PLC0415
+
+    with tempfile.TemporaryDirectory() as folder:
+        for row in rows(3, Path(folder)):
+            print(f"{row.what:40} {row.reached:8.3g} {row.required:8.3g}  {row.note}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
