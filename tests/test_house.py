@@ -40,6 +40,7 @@ def room(module: str) -> str:
 
 # Packages that are imported where they are used, in a function, by these modules only.
 WHERE_USED = {
+    "isal": {"canser.files.blf"},
     "rich": {"canser._progress", "canser.monitoring._table", "canser.monitoring.monitor"},
     "shtab": {"canser.commands.cli"},
     "serial": {"canser.live.line", "canser.live.ports", "canser.live.rfc2217"},

@@ -35,7 +35,6 @@ _MAGICS: Final = (
     (b"\xfd7zXZ\0", Foreign("packed by xz", f"{_UNPACK}: unxz FILE")),
     (b"\x28\xb5\x2f\xfd", Foreign("packed by zstd", f"{_UNPACK}: unzstd FILE")),
     (b"PK\x03\x04", Foreign("a zip archive", f"{_UNPACK}: unzip FILE")),
-    (b"LOGG", Foreign("a Vector BLF log", _PYTHON_CAN)),
     (b"MDF     ", Foreign("an ASAM MF4 log", _PYTHON_CAN)),
     (b"UnFinMF ", Foreign("an ASAM MF4 log", _PYTHON_CAN)),
     (b"\xd4\xc3\xb2\xa1", Foreign("a pcap file", "Wireshark reads it")),

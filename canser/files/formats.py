@@ -25,7 +25,7 @@ from typing import Any, BinaryIO, Final
 
 from canser._input import Input
 from canser.errors import CanserWarning, ForeignFormatError
-from canser.files import asc, candump, csv, gvret, npy, raw, recordings, trc
+from canser.files import asc, blf, candump, csv, gvret, npy, raw, recordings, trc
 from canser.files.foreign import HEAD_LEN, TEXT, recognise
 from canser.files.judge import is_auto
 from canser.files.reader import DecodedReader, Reader, ReadOptions
@@ -57,6 +57,7 @@ BUILT_IN: Final[dict[str, Any]] = {
     RAW: raw,
     PCAPNG: recordings,
     "asc": asc,
+    "blf": blf,
     "candump": candump,
     "csv": csv,
     "gvret": gvret,
