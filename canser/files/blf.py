@@ -372,7 +372,7 @@ class _BlfReader(TaggedReader):
                 self._searches = used == len(data)
             else:
                 break
-        self._parts = [data[used:]]
+        self._parts = [data[used:]] if used < len(data) else []  # joining two is a copy
         self._held, self._wanted = len(data) - used, self._c.next_size
         self._inflated += used
 
