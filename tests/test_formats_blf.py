@@ -146,11 +146,7 @@ def test_frames_read_back_with_their_channels_and_directions(
 
     channels, directions = codes(NO_CHANNEL - 1), codes(1)
     raw, told = written(array(*frames), channels, directions)
-    first = next(
-        (frame.ts for frame in frames[: max(len(frames) // 2, 1)] if frame.ts != NO_TIME), 0
-    )
-    if len(frames) < 2:
-        first = next((frame.ts for frame in frames if frame.ts != NO_TIME), 0)
+    first = next((frame.ts for frame in frames if frame.ts != NO_TIME), 0)
     start = first // MILLISECOND * MILLISECOND if first >= YEAR_2000_NS else 0
     got = tagged(raw)
     assert got == (
@@ -543,6 +539,16 @@ def test_nuls_at_the_end_are_counted() -> None:
     assert read(raw + bytes(4096) + message(), skip_bad=True)[0] == [ONE, ONE]
 
 
+def test_many_nuls_within_a_file_are_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "x.blf"
+    for count in (3 << 20, (3 << 20) + 4097):
+        path.write_bytes(header() + message() + bytes(count) + message())
+        with pytest.warns(CanserWarning, match="damaged parts, left out: 1; the first is byte 192"):
+            assert listed(canser.read(path, skip_bad=True)) == [ONE, ONE]
+        with pytest.raises(FormatError, match="byte 192: no object begins here"):
+            canser.read(path)
+
+
 # ---- Files that are damaged.
 
 LONG = struct.pack("<4sHHII", b"LOBJ", 32, 1, 0xFFFF_FFF0, 1).ljust(48, b"\0")
@@ -699,6 +705,15 @@ def test_an_object_in_many_small_containers_takes_no_time_that_grows_faster() ->
     pieces = [content[at : at + 20] for at in range(0, len(content), 20)]
     raw = header() + b"".join(container(piece, method=0) for piece in pieces)
     assert read(raw) == ([ONE], [])
+
+
+def test_many_damaged_places_take_no_time_that_grows_faster() -> None:
+    """Of each a few bytes are searched: otherwise this would copy 10 GB."""
+    places = 10_000
+    for part in (b"LOBJ" * 7, b"LOBJ".ljust(28, b"\0"), b"LOBJ".rjust(28, b"\0")):
+        frames, (told,) = read(header() + part * places + bytes(12) + message(), skip_bad=True)
+        assert frames == [ONE]
+        assert told.startswith("damaged parts, left out: ")
 
 
 # ---- isal, which is not needed.

@@ -21,7 +21,7 @@ from typing import Any, BinaryIO, Final
 
 from canser._core.blf import OBJECT_MOST, BlfReader, BlfWriter
 from canser._core.text import Codes, Taken
-from canser._frames import FrameArray
+from canser._frames import NO_TIME, FrameArray
 from canser._input import Input
 from canser.errors import FormatError
 from canser.files.dates import date_ns, first_date, local_date
@@ -65,8 +65,11 @@ _CONTAINER_SIZE: Final = 1 << 17
 # Bytes that tell of the next object whether it is one, behind padding of up to 8 bytes.
 _NEAR: Final = 24
 
-# Years whose times fit 64 bits of nanoseconds, from 1970 on: no log is older.
-_YEARS: Final = range(1970, 2262)
+# Bytes that are searched at a time. They are copied at each damaged place: so they are few.
+_SEARCHED: Final = 1 << 12
+
+# Times that fit 64 bits of nanoseconds, from 1970 on: no log is older.
+_TIMES: Final = range(1 << 63)
 
 
 def sniff(head: bytes) -> bool:
@@ -102,7 +105,7 @@ class Writer:
         self, frames: FrameArray, channels: Codes | None = None, directions: Codes | None = None
     ) -> None:
         """Append frames."""
-        if not self._begun and len(frames):
+        if not self._begun and (frames["ts"] != NO_TIME).any():
             self._begun = True
             self._objects.state.start_ns = first_date(frames, step_ns=1_000_000)
         for content in self._objects.containers(frames, channels, directions):
@@ -224,11 +227,13 @@ class _BlfReader(TaggedReader):
             return
         year, month, _, day, hour, minute, second, millisecond = date
         try:
-            if year not in _YEARS:
-                raise ValueError
             moment = dt.datetime(year, month, day, hour, minute, second, millisecond * 1000)
-            self.start_ns = date_ns(moment, self._options.tz)
-        except (ValueError, OverflowError, OSError):  # as Windows has it, for local time
+            start_ns = date_ns(moment, self._options.tz)
+        except (ValueError, OverflowError, OSError):  # the last two for local time
+            start_ns = -1
+        if start_ns in _TIMES:
+            self.start_ns = start_ns
+        else:
             self._date_wrong = True
 
     def _take_objects(self) -> Iterator[None]:
@@ -241,10 +246,13 @@ class _BlfReader(TaggedReader):
             if self._c.is_full:
                 yield
             elif self._c.no_object or self._c.wrong_size:
-                if self._c.no_object and self._take_nuls():
+                offset, near = self._offset, bytes(source.at(self._offset, _NEAR))
+                nuls = 0 if near.strip(b"\0") else self._skip_nuls()
+                if nuls and not source.at(self._offset, 1):
+                    self._nuls = nuls
                     break
-                self._damaged(f"byte {self._offset:,}", self._why(source.at(self._offset, _NEAR)))
-                self._search()
+                self._damaged(f"byte {offset:,}", self._why(near))
+                self._search(0 if nuls else 1)
             else:  # a container, or an object that is not whole
                 size = self._c.next_size or left + 1
                 is_container = self._c.at_container
@@ -277,34 +285,29 @@ class _BlfReader(TaggedReader):
     def _damaged(self, where: str, why: str) -> None:
         """Raise FormatError for a part that cannot be read, or count it."""
         if not self._options.skip_bad:
-            raise FormatError(f"{self._source.name}, {where}: {why}")
+            raise FormatError(f"{self._source.name}, {where}: {why}; skip_bad=True leaves it out")
         if not self._bad_count:
             self._bad.append((where, why))
         self._bad_count += 1
 
-    def _search(self) -> None:
-        """Go to the next object, or to the end of the file."""
-        self._advance(1)
-        while len(data := self._source.at(self._offset, len(_OBJECT))) == len(_OBJECT):
-            data = self._source.ahead(self._offset)
-            found = bytes(data).find(_OBJECT)
+    def _search(self, behind: int) -> None:
+        """Go to the next object from a number of bytes behind this place on, or to the end."""
+        self._advance(behind)
+        while len(data := self._source.at(self._offset, _SEARCHED)) >= len(_OBJECT):
+            found = bytes(data[:_SEARCHED]).find(_OBJECT)
             self._advance(found if found >= 0 else len(data) - len(_OBJECT) + 1)
             if found >= 0:
                 return
         self._advance(len(data))
 
-    def _take_nuls(self) -> bool:
-        """Count the rest of the file as NULs that a power cut has left; return False for others."""
-        source, offset = self._source, self._offset
-        if bytes(source.at(offset, _NEAR)).strip(b"\0"):
-            return False
-        while data := source.ahead(offset):
-            if bytes(data).strip(b"\0"):
-                return False
-            offset += len(data)
-        self._nuls = offset - self._offset
-        self._advance(self._nuls)
-        return True
+    def _skip_nuls(self) -> int:
+        """Skip pieces of NULs, which a power cut leaves; return the number of bytes."""
+        begin = self._offset
+        while data := bytes(self._source.ahead(self._offset)[:_SEARCHED]):
+            if data.strip(b"\0"):
+                break
+            self._advance(len(data))
+        return self._offset - begin
 
     def _take_container(self, raw: memoryview, size: int) -> Iterator[None]:
         """Take a container of `size` bytes; fewer are there if the file is cut off."""

@@ -172,7 +172,7 @@ static size_t put_object(uint8_t *p)
     } types[] = {{1, 16},   {2, 4},    {73, 32},  {86, 16},  {86, 24},
                  {100, 84}, {101, 40}, {104, 20}, {115, 24}, {101, 48}};
     const size_t row = random_below(sizeof types / sizeof *types);
-    const size_t header = random_below(4) ? 32 : random_below(2) ? 40 : 16;
+    const size_t header = random_below(4) ? 32 : random_below(9) ? 40 : 16;
     const size_t len =
         header + types[row].len + random_below(12) / 11 - (random_below(12) ? 0 : random_below(5));
 
@@ -198,7 +198,7 @@ static void any_objects(size_t round)
     told whole, parts;
     size_t len = 0;
 
-    for (size_t i = random_below(FRAMES_MAX); i; i--)
+    for (size_t i = random_below(random_below(2) ? FRAMES_MAX : 4); i; i--)
         len += put_object(data + len);
     if (len && !random_below(3))
         data[random_below(len)] = (uint8_t)random_below(256);
