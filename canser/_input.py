@@ -202,7 +202,8 @@ class Input:
 
     def _read_on(self, offset: int, length: int) -> None:
         if type(self.file) is io.BytesIO and not self._head:
-            self._view = self.file.getbuffer()[self.file.tell() :].toreadonly()  # not copied
+            # Shared with the file, not copied.
+            self._view = memoryview(self.file.getvalue())[self.file.tell() :]
             self.file.seek(0, io.SEEK_END)
             self._head += self._view[:HEAD_LEN]
             return

@@ -688,6 +688,64 @@ int canser_text_write(canser_text *self, const canser_frame *frames, const uint8
                       const uint8_t *directions, size_t frame_count, uint8_t *out, size_t out_cap,
                       canser_encoded *result);
 
+/* ---- For log files of Vector: objects of BLF as frames, and frames as objects. */
+
+/* The largest object that is read, in bytes; the room that is always enough to write one. */
+#define CANSER_BLF_OBJECT_MAX  16777216
+#define CANSER_BLF_WRITTEN_MAX 64
+
+/* Reasons why canser_blf_read() returned. */
+enum {
+    CANSER_BLF_MORE = 0,      /* the next object is not whole, or there is none */
+    CANSER_BLF_FULL = 1,      /* the rows are full */
+    CANSER_BLF_CONTAINER = 2, /* the next object is a container */
+    CANSER_BLF_SIGNATURE = 3, /* damaged: no object begins within 8 bytes behind the last one */
+    CANSER_BLF_SIZE = 4       /* damaged: the object's size is over CANSER_BLF_OBJECT_MAX, or too
+                               * small for its type */
+};
+
+/* The state of one file that is read or written. The caller zeroes it, and sets `start_ns`. */
+typedef struct {
+    int64_t start_ns;       /* written: the time from which times count, not negative */
+    int stopped;            /* read: CANSER_BLF_*: why the last call returned */
+    uint32_t size;          /* read: of the object before which it stopped, 0 if not known */
+    uint64_t fd_count;      /* read: objects of CAN FD, left out */
+    uint64_t odd_frames;    /* read: those whose id or dlc no frame of classic CAN has, left out */
+    uint64_t odd_errors;    /* read: error frames with such an id or dlc, cut to the limit */
+    uint64_t lost_channels; /* read: frames of channels that have no code */
+    uint64_t lost_times;    /* read: frames whose time does not fit, without a time */
+    uint64_t unknown_times; /* written: frames without a time, at 0 */
+    uint64_t early_times;   /* written: times before the start, at 0 */
+    uint64_t remote_errors; /* written: error frames that are remote frames, too, which is lost */
+    int64_t last_ns;        /* written: the latest time */
+} canser_blf;
+
+/* Read objects of a BLF file as frames.
+ *
+ * `data` is a part of the file behind its header, or of the inflated bytes of its containers, which
+ * are one stream. It begins at an object, or with the padding before one. A call takes whole
+ * objects, with the padding before each: frames of classic CAN go into the rows, and others are
+ * left out. It stops as self->stopped tells. At a container and at an object of a wrong size,
+ * `rows->used` is the place of that object. `rows->line_count` is the number of objects taken, and
+ * `rows->is_unusual` is 1 if the next one is damaged. Reads only data[0..data_len), and writes rows
+ * below frame_cap only.
+ *
+ * Channels are numbers from 1 in the file, and codes from 0 in the rows. Times count from the start
+ * of the file, in nanoseconds. An old error frame (type 2) tells no id and no data.
+ *
+ * Returns CANSER_OK; CANSER_NULL, CANSER_MISALIGNED and CANSER_OVERLAP before anything was read.
+ * The results in `*rows` are set on every return on which it is not NULL. */
+int canser_blf_read(canser_blf *self, const uint8_t *data, size_t data_len, canser_rows *rows);
+
+/* Write frames as objects, one behind the other: type 86 for data and remote frames, 73 for error
+ * frames. Stops when `out` may have no room for the next one: CANSER_BLF_WRITTEN_MAX bytes for each
+ * frame are always enough. A frame without a channel gets the first one.
+ *
+ * `channels` and `directions` are as long as `frames`, or NULL. Returns as canser_text_write(). */
+int canser_blf_write(canser_blf *self, const canser_frame *frames, const uint8_t *channels,
+                     const uint8_t *directions, size_t frame_count, uint8_t *out, size_t out_cap,
+                     canser_encoded *result);
+
 /* cffi: end */
 
 #ifdef __cplusplus

@@ -126,6 +126,15 @@ def test_lines_of_text_sanitized(tmp_path: Path, debug_flags: list[str]) -> None
     assert_all_pass(run(build_test(tmp_path, "text", *debug_flags)))
 
 
+def test_objects_of_blf(tmp_path: Path) -> None:
+    assert_all_pass(run(build_test(tmp_path, "blf", *FAST), "50000" if LONG else "5000"))
+
+
+@takes_long
+def test_objects_of_blf_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    assert_all_pass(run(build_test(tmp_path, "blf", *debug_flags)))
+
+
 def test_blocks_of_recordings(tmp_path: Path) -> None:
     assert_all_pass(run(build_test(tmp_path, "recording", *FAST)))
 

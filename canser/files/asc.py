@@ -28,10 +28,10 @@ from typing import BinaryIO, Final
 import numpy as np
 
 from canser._core.text import Codes, TextWriter
-from canser._frames import NO_TIME, YEAR_2000_NS, FrameArray
+from canser._frames import FrameArray
 from canser._input import Input
 from canser._rows import check_row
-from canser.files.dates import date_ns, local_date
+from canser.files.dates import date_ns, first_date, local_date
 from canser.files.foreign import is_text
 from canser.files.lines import Line, LineReader
 from canser.files.reader import Reader, ReadOptions
@@ -140,13 +140,6 @@ class Writer:
             "times cut to the microsecond": state.cut_times,
         }
         return [f"{what}: {count:,}" for what, count in remarks.items() if count]
-
-
-def first_date(frames: FrameArray, step_ns: int) -> int:
-    """Return the first time, rounded down to a step, if it is a date; else 0."""
-    known = frames["ts"][frames["ts"] != NO_TIME]
-    first = int(known[0]) if len(known) else 0
-    return first - first % step_ns if first >= YEAR_2000_NS else 0
 
 
 class _AscReader(LineReader):

@@ -3,7 +3,9 @@
 import datetime as dt
 from typing import Final
 
-__all__ = ["date_ns", "date_text", "local_date", "to_ns"]
+from canser._frames import NO_TIME, YEAR_2000_NS, FrameArray
+
+__all__ = ["date_ns", "date_text", "first_date", "local_date", "to_ns"]
 
 _SECOND_NS: Final = 1_000_000_000
 _EPOCH: Final = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
@@ -39,3 +41,10 @@ def date_text(ns: int, tz: dt.tzinfo | None) -> str:
     date = local_date(ns, tz)
     zone = f"{date:%Z}" + (" (local time)" if tz is None else "")
     return f"{date:%Y-%m-%d %H:%M:%S}.{date.microsecond // 1000:03} {zone}"
+
+
+def first_date(frames: FrameArray, step_ns: int) -> int:
+    """Return the first time, rounded down to a step, if it is a date; else 0."""
+    known = frames["ts"][frames["ts"] != NO_TIME]
+    first = int(known[0]) if len(known) else 0
+    return first - first % step_ns if first >= YEAR_2000_NS else 0

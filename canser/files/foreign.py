@@ -33,7 +33,6 @@ _MAGICS: Final = (
     (b"BZh", Foreign("packed by bzip2", f"{_UNPACK}: bunzip2 FILE")),
     (b"\xfd7zXZ\0", Foreign("packed by xz", f"{_UNPACK}: unxz FILE")),
     (b"PK\x03\x04", Foreign("a zip archive", f"{_UNPACK}: unzip FILE")),
-    (b"LOGG", Foreign("a Vector BLF log", _PYTHON_CAN)),
     (b"MDF     ", Foreign("an ASAM MF4 log", _PYTHON_CAN)),
     (b"UnFinMF ", Foreign("an ASAM MF4 log", _PYTHON_CAN)),
     (b"\xd4\xc3\xb2\xa1", Foreign("a pcap file", "Wireshark reads it")),

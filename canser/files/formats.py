@@ -25,7 +25,7 @@ from typing import Any, BinaryIO, Final
 
 from canser._input import Input
 from canser.errors import CanserWarning, ForeignFormatError
-from canser.files import arrow, asc, candump, csv, gvret, npy, parquet, raw, recordings, trc
+from canser.files import arrow, asc, blf, candump, csv, gvret, npy, parquet, raw, recordings, trc
 from canser.files.foreign import HEAD_LEN, TEXT, recognise
 from canser.files.judge import is_auto
 from canser.files.packed import without_packing
@@ -59,6 +59,7 @@ BUILT_IN: Final[dict[str, Any]] = {
     PCAPNG: recordings,
     "arrow": arrow,
     "asc": asc,
+    "blf": blf,
     "candump": candump,
     "csv": csv,
     "gvret": gvret,

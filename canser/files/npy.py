@@ -4,10 +4,8 @@ Source: numpy's `lib.format`. Its header has room for a longer first dimension, 
 frames is written at the end, when it is known.
 """
 
-import shutil
-import tempfile
 from collections.abc import Iterator
-from typing import BinaryIO, Final, cast
+from typing import BinaryIO, Final
 
 import numpy as np
 from numpy.lib import format as npy
@@ -17,7 +15,7 @@ from canser._input import Input
 from canser.errors import FormatError
 from canser.files.reader import DecodedReader, Reader, ReadOptions
 from canser.files.remarks import AddRemark, report_remarks
-from canser.files.writer import WriteOptions
+from canser.files.writer import WriteOptions, give, patchable
 
 about: Final = "a .npy file of numpy"
 
@@ -44,17 +42,12 @@ def write(file: BinaryIO, options: WriteOptions) -> "Writer":  # noqa: ARG001 - 
     return Writer(file)
 
 
-def _temporary() -> BinaryIO:
-    return cast(BinaryIO, tempfile.TemporaryFile())
-
-
 class Writer:
     """Writes frames behind a header that is completed at the end."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._target = file
-        # A pipe cannot seek back to the header: a temporary file is made first, and then copied.
-        self._file = file if file.seekable() else _temporary()
+        self._file = patchable(file)
         self._count = 0
         self._start = self._file.tell()
         self._write_header()
@@ -80,10 +73,7 @@ class Writer:
         self._file.seek(self._start)
         self._write_header()
         self._file.seek(end)
-        if self._file is not self._target:
-            self._file.seek(0)
-            shutil.copyfileobj(self._file, self._target, 1 << 20)
-            self._file.close()
+        give(self._file, self._target)
         return []
 
 

@@ -33,7 +33,7 @@ class ReadOptions:
     as_is: bool = False
     #: Channel to read from a log of several buses, such as "can0"; None for all.
     bus: str | None = None
-    #: Whether lines that cannot be read are left out and counted; otherwise they are an error.
+    #: Whether what cannot be read in a log is left out and counted; otherwise it is an error.
     skip_bad: bool = False
     channels: Codes | None = None
     directions: Codes | None = None

@@ -174,8 +174,8 @@ def blocks(
     tz : datetime.tzinfo, optional
         Time zone of dates in a file, which name none; local time by default.
     skip_bad : bool, optional
-        Leave out the lines of a text log that cannot be read, and count them. They are an error by
-        default.
+        Leave out what cannot be read in a log, lines of text or parts of BLF, and count it. It is
+        an error by default.
     as_is : bool, optional
         Read the bytes in the protocol given, whatever they look like: without a warning, and
         even if they are plainly another format, or a recording of another protocol. False by
@@ -827,7 +827,7 @@ def read(
     sort : bool, optional
         Order all frames by their times; first those without a time. False by default.
     skip_bad : bool, optional
-        Leave out the lines of a text log that cannot be read, and count them.
+        Leave out what cannot be read in a log, lines of text or parts of BLF, and count it.
     as_is : bool, optional
         Read the bytes in the protocol given, whatever they look like, as for `blocks`.
 

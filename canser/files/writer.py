@@ -1,13 +1,15 @@
 """Writers: the options of writing, and the interface of all formats."""
 
+import shutil
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import tzinfo
-from typing import Protocol
+from typing import BinaryIO, Protocol, cast
 
 from canser._frames import FrameArray
 
-__all__ = ["WriteOptions", "Writer"]
+__all__ = ["WriteOptions", "Writer", "give", "patchable"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,3 +41,19 @@ class Writer(Protocol):
 
     def finish(self) -> list[str]:
         """Write what completes the file; return remarks on what it could not hold."""
+
+
+def patchable(file: BinaryIO) -> BinaryIO:
+    """Return a file in which one can seek back to the header: this one, or a temporary one.
+
+    At the end `give` hands the bytes over.
+    """
+    return file if file.seekable() else cast(BinaryIO, tempfile.TemporaryFile())
+
+
+def give(made: BinaryIO, file: BinaryIO) -> None:
+    """Copy the bytes of a file that `patchable` made for another one, such as a pipe."""
+    if made is not file:
+        made.seek(0)
+        shutil.copyfileobj(made, file, 1 << 20)
+        made.close()

@@ -273,7 +273,7 @@ def convert(
     sort : bool, optional
         Order all frames by their times, as for `read`. False by default.
     skip_bad : bool, optional
-        Leave out the lines of a text log that cannot be read, and count them.
+        Leave out what cannot be read in a log, lines of text or parts of BLF, and count it.
     strict : bool, optional
         Refuse frames that the protocol cannot carry. By default they are left out and counted.
     force : bool, optional
