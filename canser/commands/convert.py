@@ -118,7 +118,10 @@ def run(args: argparse.Namespace) -> int:
             remedy = "" if to == source.format else "; name it with -p"
             raise CallError(f"{error}{remedy}") from None
         options = WriteOptions(
-            protocol=args.protocol, ts_unit=args.ts_unit or "ms", strict=args.strict
+            protocol=args.protocol,
+            ts_unit=args.ts_unit or "ms",
+            strict=args.strict,
+            name=args.target,
         )
         with whole_file(args.target, force=args.force) as target:
             done = convert_opened(source, target, to, options, chosen)

@@ -25,7 +25,7 @@ from typing import Any, BinaryIO, Final
 
 from canser._input import Input
 from canser.errors import CanserWarning, ForeignFormatError
-from canser.files import asc, candump, csv, gvret, npy, raw, recordings, trc
+from canser.files import asc, candump, csv, gvret, npy, pcap, raw, recordings, trc
 from canser.files.foreign import HEAD_LEN, TEXT, recognise
 from canser.files.judge import is_auto
 from canser.files.reader import DecodedReader, Reader, ReadOptions
@@ -61,6 +61,7 @@ BUILT_IN: Final[dict[str, Any]] = {
     "csv": csv,
     "gvret": gvret,
     "npy": npy,
+    "pcap": pcap,
     "trc": trc,
 }
 
@@ -189,7 +190,7 @@ def _head(source: Input, *, wait: bool) -> bytes:
         size = 1
         while len(source.at(0, size)) == size < HEAD_LEN:
             held = bytes(source.some(0))
-            if b"\n" in held:
+            if b"\n" in held or pcap.sniff(held):
                 break
             size = len(held) + 1
     return bytes(source.some(0)[:HEAD_LEN])

@@ -179,7 +179,7 @@ def write(
     name = os.fsdecode(path)
     chosen = choose_target(name, format)
     check_target(chosen, protocol)
-    options = WriteOptions(protocol=protocol, ts_unit=ts_unit, strict=strict, tz=tz)
+    options = WriteOptions(protocol=protocol, ts_unit=ts_unit, strict=strict, tz=tz, name=name)
     tick_ns(ts_unit)
     tagged: Iterable[Tagged]
     if isinstance(frames, Blocks):
@@ -323,7 +323,9 @@ def convert(
         skip_bad=skip_bad,
         as_is=as_is,
     )
-    writing = WriteOptions(protocol=protocol, ts_unit=ts_unit or "ms", strict=strict, tz=tz)
+    writing = WriteOptions(
+        protocol=protocol, ts_unit=ts_unit or "ms", strict=strict, tz=tz, name=name
+    )
     with open_to_convert(source, options, format=format, sort=sort) as blocks:
         check_target(chosen, protocol, blocks.format)
         with whole_file(name, force=force) as file:
