@@ -269,18 +269,20 @@ CANSER_INLINE void read_packets(canser_capture *self, const uint8_t *data, size_
     rows->is_unusual = what == UNUSUAL;
 }
 
-/* Check the arrays of a call; `channels` and `directions` may be NULL. Returns a status. */
+/* Check the arrays of a call; `channels` and `directions` may be NULL. Of arrays that are only
+ * read, two may overlap. Returns a status. */
 static int check(const canser_capture *self, const canser_frame *frames, const uint8_t *channels,
-                 const uint8_t *directions, size_t frame_cap, const uint8_t *bytes, size_t byte_cap)
+                 const uint8_t *directions, size_t frame_cap, const uint8_t *bytes, size_t byte_cap,
+                 bool writes_rows)
 {
     if (!self || (!bytes && byte_cap) || (!frames && frame_cap))
         return CANSER_NULL;
     if (misaligned(frames, _Alignof(canser_frame)))
         return CANSER_MISALIGNED;
-    const span all[] = {span_of(frames, frame_cap, sizeof *frames), span_of(channels, frame_cap, 1),
-                        span_of(directions, frame_cap, 1), span_of(bytes, byte_cap, 1)};
-    for (size_t i = 0; i < 4; i++)
-        for (size_t j = 0; j < i; j++)
+    const span all[] = {span_of(bytes, byte_cap, 1), span_of(frames, frame_cap, sizeof *frames),
+                        span_of(channels, frame_cap, 1), span_of(directions, frame_cap, 1)};
+    for (size_t i = 1; i < 4; i++)
+        for (size_t j = 0; j < (writes_rows ? i : 1); j++)
             if (spans_meet(all[i], all[j]))
                 return CANSER_OVERLAP;
     return CANSER_OK;
@@ -296,7 +298,7 @@ int canser_capture_read(canser_capture *self, const uint8_t *data, size_t data_l
     if ((!rows->channels || !rows->directions) && rows->frame_cap)
         return CANSER_NULL;
     const int status = check(self, rows->frames, rows->channels, rows->directions, rows->frame_cap,
-                             data, data_len);
+                             data, data_len, true);
     if (status)
         return status;
     if (!self->interfaces && self->interface_count)
@@ -385,7 +387,7 @@ int canser_capture_write(canser_capture *self, const canser_frame *frames, const
     if (!result)
         return CANSER_NULL;
     *result = (canser_encoded){0, 0, CANSER_REFUSAL_NONE};
-    const int status = check(self, frames, channels, directions, frame_count, out, out_cap);
+    const int status = check(self, frames, channels, directions, frame_count, out, out_cap, false);
     if (status)
         return status;
 

@@ -78,6 +78,12 @@ _INTERFACES_MOST: Final = 1 << 12
 # The bytes of the longest option's value.
 _OPTION_MOST: Final = 0xFFFF
 
+# A link type for private use: that of canser's recordings.
+_PRIVATE: Final = 147
+
+# Other networks that messages name.
+_NETWORKS_SHOWN: Final = 8
+
 # Other networks by their link types.
 _NETWORKS: Final = {
     0: "loopback",
@@ -85,7 +91,7 @@ _NETWORKS: Final = {
     101: "IP",
     105: "Wi-Fi",
     127: "Wi-Fi",
-    147: "raw bytes",
+    _PRIVATE: "raw bytes",
     187: "Bluetooth",
     189: "USB",
     201: "Bluetooth",
@@ -198,11 +204,6 @@ def _times_lost(packets: PacketWriter) -> list[str]:
     return [f"{what}: {count:,}" for what, count in remarks.items() if count]
 
 
-def _network(link_type: int) -> str:
-    """Return the name of another network, or its number."""
-    return _NETWORKS.get(link_type, f"link type {link_type}")
-
-
 class _CaptureReader(TaggedReader):
     """Reads packets: usual ones in C, and any other block or record in Python."""
 
@@ -259,9 +260,20 @@ class _CaptureReader(TaggedReader):
         """Raise FormatError if the capture has no interface of CAN."""
         if self._has_can or self._bad:
             return
-        others = " and ".join(dict.fromkeys(map(_network, list(self._networks)[:8])))
-        what = f"{self._source.name} is a capture of {others or 'no interface'}, not of CAN"
-        raise ForeignFormatError(f"{what}; Wireshark reads it", what=what, option="")
+        name = self._source.name
+        if not self._networks:
+            raise FormatError(f"{name} is no capture: it describes no interface; is it cut off?")
+        what = f"{name} is a capture of {self._other_networks}, not of CAN"
+        remedy = "Wireshark reads it"
+        if _PRIVATE in self._networks:
+            remedy = "if it is a recording of canser, its format is pcapng"
+        raise ForeignFormatError(f"{what}; {remedy}", what=what, option="")
+
+    @property
+    def _other_networks(self) -> str:
+        """The names of the networks that are not CAN, or their numbers."""
+        names = [_NETWORKS.get(each, f"link type {each}") for each in self._networks]
+        return " and ".join(dict.fromkeys(names[:_NETWORKS_SHOWN]))
 
     def _advance(self, count: int) -> None:
         self._offset += count
@@ -451,19 +463,18 @@ class _CaptureReader(TaggedReader):
     def _damaged(self, why: str) -> FormatError:
         return FormatError(
             f"{self._source.name}, byte {self._offset:,}: {why}; is it damaged? skip_bad=True "
-            "(--skip-bad) reads what is before"
+            "reads what is before"
         )
 
     @property
     def remarks(self) -> list[str]:
         """Remarks on the file: what the frames do not hold."""
         state, remarks = self._c.state, super().remarks
-        others = " and ".join(dict.fromkeys(map(_network, list(self._networks)[:8])))
         lost = max(state.dropped_count, self._lost_before + sum(self._lost.values()))
         counts = {
             "CAN FD frames, left out": state.fd_count,
             "CAN XL frames, left out": state.xl_count,
-            f"packets of other networks ({others or 'not CAN'}), left out": state.other_count,
+            f"packets of {self._other_networks or 'other networks'}, left out": state.other_count,
             "packets that are no frame of CAN, left out": state.bad_count,
             "packets cut short, left out": state.cut_count,
             "packets that the capture lost, as it tells": lost,
