@@ -654,7 +654,9 @@ def test_lengths_within_a_block_that_do_not_fit() -> None:
     odd = packet(socketcan(ABC) + struct.pack("<HHI", 1, 500, 2), EPOCH)
     raw = bytearray(START + odd)
     struct.pack_into("<I", raw, len(START) + 20, 16)
-    assert Got(bytes(raw)).frames == [ABC]
+    got = Got(bytes(raw))
+    assert got.frames == [ABC]
+    assert got.remarks == []
 
 
 def test_a_record_without_bytes_is_cut_short() -> None:

@@ -127,8 +127,9 @@ def write(
     protocol : str, optional
         Protocol of raw bytes or of a recording: a name of `protocols()`. Other formats need none.
     format : str, optional
-        "raw", "pcapng" (a recording), "candump", "csv", "npy", or a format that another package
-        adds. By default the suffix of the file's name decides.
+        "raw", "pcapng" (a recording), "pcap" (a capture, in pcapng if the name ends in .pcapng),
+        "candump", "csv", "npy", or a format that another package adds. By default the suffix of
+        the file's name decides.
     channels, directions : array of uint8, shape (n,), optional
         With one array of frames: their channels, numbers from 0 and 255 for not told, and their
         directions, 1 for sent and 0 for received. `canser.blocks` brings its own.
