@@ -746,6 +746,79 @@ int canser_blf_write(canser_blf *self, const canser_frame *frames, const uint8_t
                      const uint8_t *directions, size_t frame_count, uint8_t *out, size_t out_cap,
                      canser_encoded *result);
 
+/* ---- For captures of CAN frames, as Wireshark and tcpdump write them: pcap and pcapng. */
+
+/* An interface of a capture: the kind of its packets, and the unit of their times. The caller sets
+ * it by canser_interface_init(). All fields are private. */
+typedef struct {
+    uint64_t scale;     /* nanoseconds in one tick, with up to 9 decimal places */
+    uint64_t most;      /* the most ticks that fit, with a decimal unit */
+    uint64_t divide;    /* ticks in one nanosecond, with more places; 0: more than fit */
+    int64_t offset_ns;  /* added to all times */
+    uint32_t link_type; /* as the file formats number it */
+    uint8_t shift;      /* binary places of a time in seconds */
+    uint8_t is_binary;
+    uint8_t channel;
+} canser_interface;
+
+/* Link types of CAN: frames of SocketCAN, and the same behind a header of 16 bytes. */
+enum { CANSER_LINK_CAN = 227, CANSER_LINK_COOKED = 113 };
+
+/* The state of one capture that is read or written. The caller zeroes it, and sets the fields that
+ * are of use. */
+typedef struct {
+    const canser_interface *interfaces; /* read: those of the section; pcap has one */
+    size_t interface_count;
+    uint8_t is_blocks;      /* 1: blocks of pcapng; 0: records of pcap */
+    uint8_t is_big;         /* read: 1: its numbers are big-endian */
+    uint8_t numbers[256];   /* written, pcapng: the number of the interface of each channel */
+    uint64_t fd_count;      /* read: packets of CAN FD, left out */
+    uint64_t xl_count;      /* read: packets of CAN XL, left out */
+    uint64_t other_count;   /* read: packets of other networks, left out */
+    uint64_t bad_count;     /* read: packets of CAN that are no frame, left out */
+    uint64_t cut_count;     /* read: packets without all bytes of their frame, left out */
+    uint64_t dropped_count; /* read: packets that were lost, as blocks tell */
+    uint64_t comment_count; /* read: comments on packets */
+    uint64_t unknown_times; /* written: frames without a time */
+    uint64_t outside_times; /* written: frames with a time that the format cannot hold */
+} canser_capture;
+
+/* Set up an interface. `resolution` is the unit of its times, as pcapng has it: 10^-n seconds, or
+ * 2^-n seconds with 0x80 + n. Returns CANSER_OK or CANSER_NULL. */
+int canser_interface_init(canser_interface *self, uint32_t link_type, uint8_t channel,
+                          uint8_t resolution, int64_t offset_ns);
+
+/* Read packets of a capture as frames: records of pcap, or enhanced packet blocks of pcapng.
+ *
+ * Takes whole packets from data[0] on. It stops before any other block, before a packet that is not
+ * whole, and when the rows are full. A packet that it takes is a frame of classic CAN, or it is
+ * counted in the state. The caller looks at unusual blocks by itself: those of other types, of
+ * interfaces that are not described, with lengths that do not fit, with times over 64 bits of
+ * nanoseconds; and records of pcap without bytes. Times are rounded down to the nanosecond.
+ * In the rows, a line is a packet. Reads only data[0..data_len), and writes rows below frame_cap
+ * only.
+ *
+ * Returns CANSER_OK; CANSER_NULL, CANSER_MISALIGNED and CANSER_OVERLAP before anything was read;
+ * CANSER_RANGE for pcap without an interface. The results in `*rows` are set on every return on
+ * which it is not NULL. */
+int canser_capture_read(canser_capture *self, const uint8_t *data, size_t data_len,
+                        canser_rows *rows);
+
+/* Write frames as packets of SocketCAN, one behind the other: little-endian records of pcap, or
+ * enhanced packet blocks of pcapng, with times in nanoseconds. Stops when `out` has no room for the
+ * next one; CANSER_CAPTURED_MAX bytes for each frame are always enough.
+ *
+ * Everything else, and the returned status, is as in canser_text_write(). */
+int canser_capture_write(canser_capture *self, const canser_frame *frames, const uint8_t *channels,
+                         const uint8_t *directions, size_t frame_count, uint8_t *out,
+                         size_t out_cap, canser_encoded *result);
+
+/* The longest packet as it is written, the longest block of pcapng and the longest packet in a
+ * record of pcap that are read, in bytes. Wireshark has the same limits for reading. */
+#define CANSER_CAPTURED_MAX 60
+#define CANSER_BLOCK_MAX    16777216
+#define CANSER_RECORD_MAX   262144
+
 /* cffi: end */
 
 #ifdef __cplusplus

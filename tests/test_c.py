@@ -122,6 +122,7 @@ def test_lines_of_text(tmp_path: Path) -> None:
     assert_all_pass(run(build_test(tmp_path, "text", *FAST), "20000" if LONG else "2000"))
 
 
+@takes_long
 def test_lines_of_text_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
     assert_all_pass(run(build_test(tmp_path, "text", *debug_flags)))
 
@@ -133,6 +134,15 @@ def test_objects_of_blf(tmp_path: Path) -> None:
 @takes_long
 def test_objects_of_blf_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
     assert_all_pass(run(build_test(tmp_path, "blf", *debug_flags)))
+
+
+def test_captures(tmp_path: Path) -> None:
+    assert_all_pass(run(build_test(tmp_path, "pcap", *FAST), "20000" if LONG else "2000"))
+
+
+@takes_long
+def test_captures_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    assert_all_pass(run(build_test(tmp_path, "pcap", *debug_flags)))
 
 
 def test_blocks_of_recordings(tmp_path: Path) -> None:

@@ -193,7 +193,7 @@ ERRORS = {
     "unknown suffix": (
         ["convert", "seeed.bin", "x.mf4", "-p", "seeed"],
         BAD_CALL,
-        ["x.mf4", ".arrow, .asc, .blf, .log, .csv, .gvret.csv, .npy, .parquet, .trc", "--to"],
+        ["x.mf4", ".blf, .log, .csv, .gvret.csv, .npy, .parquet, .pcap, .trc", "--to"],
     ),
     "unknown format": (
         ["convert", "seeed.bin", "x", "-p", "seeed", "--to", "mf4"],

@@ -14,7 +14,10 @@ from shared import LOG_FILES, needs_logs
 
 pytestmark = needs_logs
 
-FORMATS = (".log", ".txt", ".csv", ".asc", ".trc", ".blf")
+FORMATS = (".log", ".txt", ".csv", ".asc", ".trc", ".blf", ".pcap", ".pcapng")
+
+# Of captures the channel is the number of the interface, which has a name besides.
+CAPTURES = (".pcap", ".pcapng")
 
 
 class Seen(NamedTuple):
@@ -74,6 +77,7 @@ def wanted(name: str, got: list[Seen]) -> list[Seen]:
     """Return the frames that a file must give; what it does not tell is as it was read."""
     rows = []
     start = EXPECTED[name].get("start_ns") or 0
+    names = sorted({each.channel or "" for each in got})
     for given, have in zip(EXPECTED[name]["frames"], [*got, *got], strict=False):
         ts, channel, direction, number, ext, rtr, err, dlc, data = given
         if name.endswith(".blf"):
@@ -83,6 +87,11 @@ def wanted(name: str, got: list[Seen]) -> list[Seen]:
             dlc = min(dlc, 8)
             channel = channel if channel < 256 else ""
         told = str(channel) if channel not in ("", 0) or have.channel == "0" else have.channel
+        if name.endswith(CAPTURES):
+            told = (
+                have.channel if channel == names.index(have.channel or "") else f"channel {channel}"
+            )
+            direction = direction or "Rx"
         rows.append(
             Seen(
                 ts, told, direction,

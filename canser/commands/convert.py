@@ -130,7 +130,11 @@ def run(args: argparse.Namespace) -> int:
             remedy = "" if to == source.format else "; name it with -p"
             raise CallError(f"{error}{remedy}") from None
         options = WriteOptions(
-            protocol=args.protocol, ts_unit=args.ts_unit or "ms", strict=args.strict, tz=args.tz
+            protocol=args.protocol,
+            ts_unit=args.ts_unit or "ms",
+            strict=args.strict,
+            tz=args.tz,
+            name=args.target,
         )
         with packed_file(args.target, force=args.force) as target:
             done = convert_opened(source, target, to, options, chosen)

@@ -35,10 +35,6 @@ _MAGICS: Final = (
     (b"PK\x03\x04", Foreign("a zip archive", f"{_UNPACK}: unzip FILE")),
     (b"MDF     ", Foreign("an ASAM MF4 log", _PYTHON_CAN)),
     (b"UnFinMF ", Foreign("an ASAM MF4 log", _PYTHON_CAN)),
-    (b"\xd4\xc3\xb2\xa1", Foreign("a pcap file", "Wireshark reads it")),
-    (b"\xa1\xb2\xc3\xd4", Foreign("a pcap file", "Wireshark reads it")),
-    (b"\x4d\x3c\xb2\xa1", Foreign("a pcap file", "Wireshark reads it")),
-    (b"\xa1\xb2\x3c\x4d", Foreign("a pcap file", "Wireshark reads it")),
     (b"SQLite format 3\0", Foreign("a SQLite database", "python-can reads those it wrote")),
     (b"\x89HDF\r\n\x1a\n", Foreign("an HDF5 file", "h5py reads it")),
 )

@@ -25,7 +25,20 @@ from typing import Any, BinaryIO, Final
 
 from canser._input import Input
 from canser.errors import CanserWarning, ForeignFormatError
-from canser.files import arrow, asc, blf, candump, csv, gvret, npy, parquet, raw, recordings, trc
+from canser.files import (
+    arrow,
+    asc,
+    blf,
+    candump,
+    csv,
+    gvret,
+    npy,
+    parquet,
+    pcap,
+    raw,
+    recordings,
+    trc,
+)
 from canser.files.foreign import HEAD_LEN, TEXT, recognise
 from canser.files.judge import is_auto
 from canser.files.packed import without_packing
@@ -65,6 +78,7 @@ BUILT_IN: Final[dict[str, Any]] = {
     "gvret": gvret,
     "npy": npy,
     "parquet": parquet,
+    "pcap": pcap,
     "trc": trc,
 }
 
@@ -193,7 +207,7 @@ def _head(source: Input, *, wait: bool) -> bytes:
         size = 1
         while len(source.at(0, size)) == size < HEAD_LEN:
             held = bytes(source.some(0))
-            if b"\n" in held:
+            if b"\n" in held or pcap.sniff(held):
                 break
             size = len(held) + 1
     return bytes(source.some(0)[:HEAD_LEN])

@@ -207,7 +207,7 @@ def blocks(
         The content of a file is not valid in its format, or one of several files counts its
         times from 1970 and another one from the start of a device. A ForeignFormatError: canser
         does not read the format, or a protocol is given and the format holds frames. A
-        RecordingError: a pcapng file that was not written by canser.
+        RecordingError: a pcapng file without an interface, or a damaged recording.
     TypeError
         `source` is no path and no file that is open for reading bytes.
     OSError

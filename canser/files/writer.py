@@ -26,6 +26,8 @@ class WriteOptions:
     channel_names: Mapping[int, str] = field(default_factory=dict)
     #: Time zone of dates without one; None for local time.
     tz: tzinfo | None = None
+    #: Name of the file; "" if it has none.
+    name: str = ""
 
 
 class Writer(Protocol):

@@ -133,8 +133,9 @@ def write(
     protocol : str, optional
         Protocol of raw bytes or of a recording: a name of `protocols()`. Other formats need none.
     format : str, optional
-        "raw", "pcapng" (a recording), "candump", "csv", "npy", or a format that another package
-        adds. By default the suffix of the file's name decides.
+        "raw", "pcapng" (a recording), "pcap" (a capture, in pcapng if the name ends in .pcapng),
+        "candump", "csv", "npy", or a format that another package adds. By default the suffix of
+        the file's name decides.
     channels, directions : array of uint8, shape (n,), optional
         With one array of frames: their channels, numbers from 0 and 255 for not told, and their
         directions, 1 for sent and 0 for received. `canser.blocks` brings its own.
@@ -185,7 +186,7 @@ def write(
     name = os.fsdecode(path)
     chosen = choose_target(name, format)
     check_target(chosen, protocol)
-    options = WriteOptions(protocol=protocol, ts_unit=ts_unit, strict=strict, tz=tz)
+    options = WriteOptions(protocol=protocol, ts_unit=ts_unit, strict=strict, tz=tz, name=name)
     tick_ns(ts_unit)
     tagged: Iterable[Tagged]
     if isinstance(frames, Blocks):
@@ -329,7 +330,9 @@ def convert(
         skip_bad=skip_bad,
         as_is=as_is,
     )
-    writing = WriteOptions(protocol=protocol, ts_unit=ts_unit or "ms", strict=strict, tz=tz)
+    writing = WriteOptions(
+        protocol=protocol, ts_unit=ts_unit or "ms", strict=strict, tz=tz, name=name
+    )
     with open_to_convert(source, options, format=format, sort=sort) as blocks:
         check_target(chosen, protocol, blocks.format)
         with packed_file(name, force=force) as file:

@@ -42,7 +42,7 @@ __all__ = [
 _LINK_TYPE: Final = 147
 
 # Codes of options, from the pcapng draft: of the section header, and of the interface.
-_OS, _APPLICATION = 3, 4
+_OS: Final = 3
 _NAME, _DESCRIPTION, _SPEED, _RESOLUTION = 2, 3, 8, 9
 
 _NANOSECONDS: Final = b"\x09"  # the resolution of times: 10 to the power of -9 seconds
@@ -86,12 +86,36 @@ def is_recording(head: bytes) -> bool:
 
 
 def starts_recording(source: Input) -> bool:
-    """Return whether a file starts as a recording does.
+    """Return whether a file starts as a recording does: its first interface is one of canser's.
 
-    Waits for as few bytes of a pipe as the answer needs.
+    So may do a file that is damaged before its first interface. Waits for as few bytes of a pipe
+    as the answer needs.
     """
     likely = all(source.at(0, length) == pcapng.SECTION_MARK[:length] for length in (1, 4))
-    return likely and is_recording(bytes(source.at(0, 12)))
+    return likely and is_recording(bytes(source.at(0, 12))) and not _is_of_others(source)
+
+
+def _is_of_others(source: Input) -> bool:
+    """Return whether the first interface of a pcapng file is plainly none of canser's."""
+    at = 0
+    order: Order | None = None
+    while at < pcapng.LENGTH_MAX:
+        head = source.at(0, at + pcapng.LENGTH_MIN)[at:]
+        if head[:4] == pcapng.SECTION_MARK:
+            order = pcapng.section_order(head)
+        if len(head) < pcapng.LENGTH_MIN or order is None:
+            return False
+        kind, length = pcapng.u32(head, 0, order), pcapng.u32(head, 4, order)
+        fits = pcapng.LENGTH_MIN <= length <= pcapng.LENGTH_MAX and length % 4 == 0
+        if not fits or kind == pcapng.ENHANCED:
+            return False
+        if kind == pcapng.INTERFACE:
+            whole = source.at(0, at + length)[at:]
+            is_whole = _INTERFACE_MIN <= length == len(whole) and whole[-4:] == whole[4:8]
+            sign = _SIGN.encode() in bytes(whole)
+            return is_whole and pcapng.u16(whole, 8, order) != _LINK_TYPE and not sign
+        at += length
+    return False
 
 
 def make_header(info: RecordingInfo, base: int) -> bytes:
@@ -107,7 +131,7 @@ def make_header(info: RecordingInfo, base: int) -> bytes:
         [
             (pcapng.COMMENT, _ABOUT.encode()),
             (_OS, f"{platform.system()} {platform.release()}".encode()),
-            (_APPLICATION, f"canser {version('canser')}".encode()),
+            (pcapng.APPLICATION, f"canser {version('canser')}".encode()),
         ],
     )
     facts = {

@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from typing import Final, Literal, NamedTuple
 
 __all__ = [
+    "APPLICATION",
     "COMMENT",
     "ENHANCED",
     "ENHANCED_HEAD_LEN",
@@ -57,8 +58,9 @@ _MAGICS: Final[dict[bytes, Order]] = {
 LENGTH_MIN: Final = 12
 LENGTH_MAX: Final = 1 << 24
 
-# Codes of options: of any block, and of an enhanced packet block.
+# Codes of options: of any block, of a section, and of an enhanced packet block.
 COMMENT: Final = 1
+APPLICATION: Final = 4
 _HASH, _DROPCOUNT, _PACKET_ID = 3, 4, 5
 _CRC32: Final = 2  # the algorithm of a hash, in its first byte
 
