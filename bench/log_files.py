@@ -36,7 +36,7 @@ COUNT = 100_000
 
 # Required over python-can: reading and writing.
 REQUIRED = {"candump": (100, 100), "csv": (50, 50), "asc": (50, 50), "trc": (50, 50),
-            "gvret": (50, 50)}  # fmt: skip
+            "gvret": (50, 50), "blf": (10, 3)}  # fmt: skip
 BINARY = ("blf",)
 
 

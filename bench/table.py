@@ -22,6 +22,7 @@ import canser
 import data
 import growth
 import instructions
+import log_files
 import memory
 import peers
 import recording_files
@@ -414,6 +415,8 @@ def rows(count: int, size: int, rounds: int, folder: Path) -> Iterator[Row]:
         if protocol == ONE:
             yield from convert(stream, size, folder, max(rounds // 4, 1))
         yield from memory_rows(protocol, size // 2)
+    for row in log_files.rows(max(rounds // 4, 1), folder):
+        yield Row(*row)
 
 
 def verdict(row: Row) -> str:

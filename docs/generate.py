@@ -6,9 +6,14 @@ interface, the names of the Python interface, and the figures of the benchmarks.
 
 import argparse
 import re
+import tempfile
+import warnings
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
+
+import numpy as np
 
 import canser
 from canser.commands import COMMANDS
@@ -52,6 +57,7 @@ def write_pages(folder: Path) -> None:
     pages = {
         "protocols.md": protocols(),
         "formats.md": formats(),
+        "held.md": held(),
         "command-line.md": command_line(),
         "c-interface.md": c_interface(),
         "python.md": python(),
@@ -99,13 +105,64 @@ def comment_lines(source: str) -> list[str]:
 
 def formats() -> Iterator[str]:
     """Yield the table of file formats."""
-    yield "| format | a file is | names | written | cannot hold |"
-    yield "|---|---|---|---|---|"
+    yield "| format | a file is | names | cannot hold |"
+    yield "|---|---|---|---|"
     for name, each in BUILT_IN.items():
         suffixes = ", ".join(f"`{suffix}`" for suffix in each.suffixes) or "-"
         lost = "; ".join(each.cannot_hold) or "-"
-        writes = "yes" if each.write is not None else "no"
-        yield f"| `{name}` | {each.about} | {suffixes} | {writes} | {lost} |"
+        yield f"| `{name}` | {each.about} | {suffixes} | {lost} |"
+
+
+# What formats may hold, with frames that tell: their values are looked at after they were written
+# and read again.
+_SECOND: Final = 1_000_000_000
+_ODD: Final = np.zeros(6, canser.FRAME_DTYPE)
+_ODD["id"] = [0x123, 0x123, 0x456, 0x80, 0x7FF, 0x1]
+_ODD["ext"] = [True, False, False, False, False, True]
+_ODD["rtr"] = [False, False, True, False, False, False]
+_ODD["err"] = [False, False, False, True, False, False]
+_ODD["dlc"] = [1, 0, 8, 8, 2, 1]
+_ODD["data"][3] = range(8)
+_ODD["ts"] = [1_767_225_600 * _SECOND + 1_000_000 * at for at in range(6)]
+_ODD["ts"][4] += 1
+_ODD["ts"][5] = canser.NO_TIME
+_CHANNELS: Final = np.array([0, 1, 0, 1, 0, 1], np.uint8)
+_DIRECTIONS: Final = np.array([0, 1, 0, 0, 1, 0], np.uint8)
+
+
+def held() -> Iterator[str]:
+    """Yield the table of what each format of frames holds, found by writing and reading."""
+    names = [name for name in BUILT_IN if name not in ("raw", "pcapng")]
+    yield (
+        "| format | times in ns | unknown times | remote frames | error frames | their id and data "
+        "| channels | directions |"
+    )
+    yield "|---|---|---|---|---|---|---|---|"
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for name in names:
+            suffix = BUILT_IN[name].suffixes[0]
+            marks = " | ".join("yes" if each else "-" for each in kept(Path(folder) / f"x{suffix}"))
+            yield f"| `{name}` | {marks} |"
+
+
+def kept(path: Path) -> tuple[bool, ...]:
+    """Return what a file holds of `_ODD`, in the order of the columns."""
+    canser.write(_ODD, path, channels=_CHANNELS, directions=_DIRECTIONS)
+    channels, directions = np.zeros((2, 6), np.uint8)
+    got = canser.read(path, channels=channels, directions=directions, epoch="file")
+    by_kind = {kind: got.compress(got[kind]) for kind in ("rtr", "err")}
+    error = by_kind["err"]
+    known = got.compress(got["ts"] != canser.NO_TIME)
+    return (
+        bool((known["ts"] == _ODD["ts"][4]).any()),
+        bool((got["ts"] == canser.NO_TIME).any()),
+        [int(dlc) for dlc in by_kind["rtr"]["dlc"]] == [8],
+        len(error) == 1,
+        bool(len(error) and error["id"][0] == 0x80 and error["data"][0, 7] == 7),
+        channels[: len(got)].tolist()[:2] == [0, 1],
+        directions[: len(got)].tolist()[:2] == [0, 1],
+    )
 
 
 def command_line() -> Iterator[str]:
