@@ -26,7 +26,12 @@ about: Final = "a GVRET table"
 
 suffixes: Final = (".gvret.csv",)
 
-cannot_hold: Final = ("times under a microsecond", "remote frames", "error frames")
+cannot_hold: Final = (
+    "times under a microsecond",
+    "whether a time is known",
+    "remote frames",
+    "error frames",
+)
 
 _COLUMNS: Final = ("Time Stamp", "ID", "Extended", "Dir", "Bus", "LEN")
 _DATA: Final = tuple(f"D{number}" for number in range(1, 9))

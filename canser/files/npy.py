@@ -21,7 +21,7 @@ about: Final = "a .npy file of numpy"
 
 suffixes: Final = (".npy",)
 
-cannot_hold: Final = ()
+cannot_hold: Final = ("the channel", "the direction")
 
 # Frames in a block: 1.5 MiB of records.
 _BLOCK = 1 << 16
