@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 
 import canser
 from canser._core.text import NO_CHANNEL
+from canser.commands.cli import main
 from canser.errors import CanserWarning, FormatError
 from canser.files.formats import find_format
 from canser.files.writer import WriteOptions
 from reference import NO_TIME, Frame
 from samples import EPOCH, FRAMES, MICROSECOND, SECOND, array, listed
-from shared import LOG_FILES, needs_logs
+from shared import CAPTURES, LOG_FILES, needs_captures, needs_logs
 from texts import read_text
 
 NAMES = {"asc": "x.asc", "candump": "x.log", "csv": "x.csv", "gvret": "x.gvret.csv", "trc": "x.trc"}
@@ -161,6 +162,16 @@ def test_the_start_is_added_by_convert_which_says_so(tmp_path: Path) -> None:
     when = dt.datetime(2026, 11, 26, tzinfo=dt.UTC)
     canser.convert(tmp_path / "x.asc", tmp_path / "y.log", epoch=when)
     assert canser.read(tmp_path / "y.log")["ts"][0] == int(when.timestamp()) * SECOND + 583_000
+
+
+@pytest.mark.parametrize("file_format", ["asc", "blf", "trc"])
+def test_times_that_are_no_dates_have_no_start(file_format: str, tmp_path: Path) -> None:
+    path = tmp_path / f"x.{file_format}"
+    canser.write(array(Frame(1, ts=SECOND)), path, tz=dt.timezone(dt.timedelta(hours=-9)))
+    with canser.blocks(path) as blocks:
+        assert [frame.ts for block in blocks for frame in listed(block)] == [SECOND]
+        assert blocks.start_ns is None
+    canser.convert(path, tmp_path / "y.csv")  # a remark would be an error here
 
 
 def test_an_epoch_that_does_not_fit_is_an_error(tmp_path: Path) -> None:
@@ -369,3 +380,39 @@ def test_the_edge_frames_there_and_back(file_format: str, tmp_path: Path) -> Non
         text = (tmp_path / "back.log").read_text()
         assert text.count(" can1 ") == 2
         assert text.count(" T\n") == 1
+
+
+# --- a real capture ---
+
+CAN_HOLD = {
+    "x.asc": MICROSECOND, "x.blf": 1, "x.log": MICROSECOND, "x.csv": 1, "x.gvret.csv": MICROSECOND,
+    "x.npy": 1, "x.parquet": 1, "x.arrow": 1, "x.pcap": 1, "x.trc": MICROSECOND,
+}  # fmt: skip
+
+
+@needs_captures
+@pytest.mark.filterwarnings("ignore::canser.CanserWarning")
+@pytest.mark.parametrize("name", CAN_HOLD)
+def test_a_capture_to_each_format_and_back(name: str, tmp_path: Path) -> None:
+    if name in ("x.parquet", "x.arrow"):
+        pytest.importorskip("pyarrow")
+    before = canser.read(CAPTURES / "car.serial.bin", "serial")
+    canser.convert(CAPTURES / "car.serial.bin", tmp_path / name, "serial")
+    after = canser.read(tmp_path / name)
+    before["ts"] -= before["ts"] % CAN_HOLD[name]
+    assert len(after) == len(before) > 80_000
+    assert after.tobytes() == before.tobytes()
+    canser.convert(tmp_path / name, tmp_path / "back.bin", "serial", ts_unit="ms")
+    again = canser.read(tmp_path / "back.bin", "serial")
+    assert (again["data"] == before["data"]).all()
+    assert (again["id"] == before["id"]).all()
+
+
+@pytest.mark.parametrize("name", ["x.asc", "x.log.gz", "x.blf", "x.pcap", "x.trc"])
+def test_commands_take_every_format(name: str, tmp_path: Path) -> None:
+    frames = array(*PLAIN)
+    canser.write(frames, tmp_path / name)
+    for call in (["info"], ["dump"], ["convert", "-o", str(tmp_path / "y.npy"), "--force"]):
+        assert main([*call[:1], str(tmp_path / name), *call[1:]]) == 0
+    call = ["play", str(tmp_path / name), "-c", "loop://", "-p", "serial", "--gap", "0"]
+    assert main(call) == 0

@@ -76,6 +76,9 @@ _QUIET: Final = re.compile(
     re.IGNORECASE,
 )
 
+# The date 1970-01-01, in any time zone, is none: the writer gives it for times that are no dates.
+_NO_DATE_NS: Final = 86_400 * 10**9
+
 # Bits of the flags of a CANFD line.
 _FLAG_FD, _FLAG_REMOTE = 0x1000, 0x10
 
@@ -214,7 +217,8 @@ class _AscReader(LineReader):
         except ValueError:
             self._dates_wrong += 1
             return None
-        return date_ns(moment, self._options.tz) + int((places or "")[:9].ljust(9, "0"))
+        start_ns = date_ns(moment, self._options.tz) + int((places or "")[:9].ljust(9, "0"))
+        return start_ns if abs(start_ns) > _NO_DATE_NS else None
 
     def _midnight(self, start_ns: int) -> int:
         day = local_date(start_ns, self._options.tz).replace(
