@@ -43,7 +43,7 @@ WHERE_USED = {
     "backports": {"canser.files.packed"},
     "compression": {"canser.files.packed"},  # Python's own from 3.14 on
     "pyarrow": {"canser.files.columns", "canser.files.parquet"},
-    "isal": {"canser.files.blf"},
+    "isal": {"canser.files.blf", "canser.files.packed"},
     "rich": {"canser._progress", "canser.monitoring._table", "canser.monitoring.monitor"},
     "shtab": {"canser.commands.cli"},
     "serial": {"canser.live.line", "canser.live.ports", "canser.live.rfc2217"},

@@ -4,6 +4,7 @@ import contextlib
 import io
 import zlib
 from collections.abc import Iterator
+from gzip import GzipFile
 from pathlib import PurePath
 from typing import Any, BinaryIO, Final, cast
 
@@ -67,8 +68,8 @@ class _Unpacker(io.RawIOBase):
         except (OSError, zlib.error, ValueError) as error:
             raise FormatError(f"{self.name}: cannot be unpacked: {error}") from None
         except Exception as error:
-            # The error of zstd is of a package that may not be there.
-            if type(error).__name__ != "ZstdError":
+            # The errors of zstd and isal are of packages that may not be there.
+            if type(error).__name__ not in ("ZstdError", "IsalError"):
                 raise
             raise FormatError(f"{self.name}: cannot be unpacked: {error}") from None
         return data
@@ -77,8 +78,9 @@ class _Unpacker(io.RawIOBase):
 def _open(suffix: str, file: Any, mode: str, name: str) -> Any:
     """Open a packed file. FormatError if what it needs is not installed."""
     if suffix == ".gz":
-        gzip = _gzip()
-        return gzip(fileobj=file, mode=mode, compresslevel=_GZIP_LEVEL, filename="", mtime=0)
+        if mode == "rb":
+            return _gzip_reader()(fileobj=file, mode=mode)
+        return GzipFile(fileobj=file, mode=mode, compresslevel=_GZIP_LEVEL, filename="", mtime=0)
     try:
         zstd = _zstd()
         # With a checksum damage is found, as by gzip.
@@ -91,10 +93,13 @@ def _open(suffix: str, file: Any, mode: str, name: str) -> Any:
         ) from None
 
 
-def _gzip() -> Any:
-    from gzip import GzipFile  # noqa: PLC0415 - seldom used
-
-    return GzipFile
+def _gzip_reader() -> Any:
+    """Return the class that reads gzip: that of isal, three times as fast, if it is installed."""
+    try:
+        from isal import igzip  # noqa: PLC0415 - an optional extra
+    except ImportError:
+        return GzipFile
+    return igzip.IGzipFile
 
 
 def _zstd() -> Any:
