@@ -20,7 +20,7 @@ from canser.commands._source import (
     source_arguments,
     write_remarks,
 )
-from canser.files.formats import RAW
+from canser.files.formats import PCAPNG, RAW
 from canser.files.packed import packed_file
 from canser.files.reading import Blocks
 from canser.files.writer import WriteOptions
@@ -128,6 +128,8 @@ def run(args: argparse.Namespace) -> int:
             check_target(to, args.protocol, source.format)
         except ValueError as error:
             remedy = "" if to == source.format else "; name it with -p"
+            if to == PCAPNG and to != source.format:
+                remedy += ", or write the frames themselves with --to pcap"
             raise CallError(f"{error}{remedy}") from None
         options = WriteOptions(
             protocol=args.protocol,
