@@ -63,7 +63,7 @@ class Table:
 def table(
     frames: FrameArray, *, channels: Codes | None = None, directions: Codes | None = None
 ) -> Table:
-    """Make a table that pyarrow, polars, DuckDB and others take without a further copy.
+    """Make a table that pyarrow, polars and others take without a further copy.
 
     The frames are copied: the array may be filled again afterwards.
 
