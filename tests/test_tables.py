@@ -223,6 +223,16 @@ def test_each_capsule_has_its_name_and_is_taken_once() -> None:
     assert len(pa.record_batch(table)) == 10
 
 
+def test_takers_share_the_memory_of_the_table() -> None:
+    pa = pytest.importorskip("pyarrow")
+    table = canser.table(vehicle(1))
+    one, other = pa.record_batch(table), pa.table(table)
+    for name in COLUMNS:
+        shared = [column.buffers()[1].address for column in (one[name], other[name].chunk(0))]
+        assert shared[0] == shared[1]
+        assert shared[0] % 64 == 0
+
+
 def resident_kib() -> int:
     """Return the memory of this process, in KiB."""
     with open("/proc/self/status", encoding="ascii") as status:  # noqa: PTH123 - no file

@@ -230,9 +230,9 @@ static void export_and_release(canser_table *table, const canser_frame *frames,
     size_t order[FIRST_CHILD + COLUMNS];
     const size_t steps = sizeof order / sizeof *order;
 
-    check(!canser_table_schema(table, &schema) && !canser_table_array(table, &array) &&
-              !canser_table_stream(table, &stream),
-          "export", count);
+    check(!canser_table_schema(table, &schema), "schema", count);
+    check(!canser_table_array(table, &array), "array", count);
+    check(!canser_table_stream(table, &stream), "stream", count);
     compare_schema(schema, is_dated);
     compare(array, frames, channels, directions, count);
     check(!stream->get_schema(stream, &schema_moved), "the stream's schema", count);
@@ -424,9 +424,9 @@ static void in_threads(size_t round)
     struct ArrowSchema *schema;
     canser_table *table;
 
-    check(!canser_table_new(frames, NULL, NULL, 3, 0, &table) &&
-              !canser_table_array(table, &array) && !canser_table_schema(table, &schema),
-          "new", round);
+    check(!canser_table_new(frames, NULL, NULL, 3, 0, &table), "new", round);
+    check(!canser_table_array(table, &array), "array", round);
+    check(!canser_table_schema(table, &schema), "schema", round);
     for (int i = 0; i < THREADS; i++) {
         shares[i] = (share){table, *array->children[i], *schema->children[i]};
         array->children[i]->release = NULL;
