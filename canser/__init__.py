@@ -71,6 +71,8 @@ if TYPE_CHECKING:
     from canser.simulation.faults import Faults as Faults
     from canser.simulation.simulator import Simulator as Simulator
     from canser.simulation.simulator import SimulatorReport as SimulatorReport
+    from canser.tables.table import Table as Table
+    from canser.tables.table import table as table
     from canser.timing.clocks import ClockEstimate as ClockEstimate
 
     __version__: str
@@ -166,6 +168,10 @@ _HOMES: Final = {
     "canser.simulation.simulator": (
         "Simulator",
         "SimulatorReport",
+    ),
+    "canser.tables.table": (
+        "Table",
+        "table",
     ),
     "canser.timing.clocks": ("ClockEstimate",),
 }

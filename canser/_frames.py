@@ -14,6 +14,7 @@ __all__ = [
     "FRAME_DTYPE",
     "NO_TIME",
     "FrameArray",
+    "check_codes",
     "check_frames",
     "concat",
     "copy_records",
@@ -253,6 +254,17 @@ def check_frames(array: object, name: str) -> None:
     refuse_mask(array, name)
     if array.ndim != 1:
         raise ValueError(f"{name} has {array.ndim} dimensions; it must have one")
+
+
+def check_codes(codes: object, name: str, frames: FrameArray) -> None:
+    """Raise unless these are channels or directions of the frames: uint8, one for each."""
+    if not isinstance(codes, np.ndarray) or codes.dtype != np.uint8:
+        raise TypeError(f"{name} must be an array of uint8, not {type_name(codes)}")
+    refuse_mask(codes, name)
+    if codes.shape != frames.shape:
+        raise ValueError(
+            f"{name} has the shape {codes.shape}, frames have {frames.shape}; they must be the same"
+        )
 
 
 def refuse_mask(array: object, name: str) -> None:

@@ -17,9 +17,15 @@ ffibuilder = cffi.FFI()
 # What follows from the list of protocols is computed by the C compiler.
 ffibuilder.cdef("#define CANSER_PACKET_MAX ...\n#define CANSER_BEHIND ...")
 ffibuilder.cdef(re.sub(r"\[CANSER_(PACKET_MAX|CONTROL_ROOM)\]", "[...]", bound.group(1)))
+# The capsules of Python for tables.
+ffibuilder.cdef("""
+enum { CAPSULE_SCHEMA, CAPSULE_ARRAY, CAPSULE_STREAM };
+uintptr_t capsule_name(int kind);
+uintptr_t capsule_end(int kind);
+""")
 ffibuilder.set_source(
     "canser._core._lib",
-    '#include "canser.h"',
+    '#include "canser.h"\n#include "capsules.h"',
     sources=sorted(path.relative_to(ROOT).as_posix() for path in HERE.rglob("*.c")),
     include_dirs=[HERE.relative_to(ROOT).as_posix()],
     depends=sorted(path.relative_to(ROOT).as_posix() for path in HERE.glob("*.h")),

@@ -1,7 +1,7 @@
 /* canser: decode and encode the byte streams of serial CAN adapters.
  *
  * Plain C11 without allocation, I/O or globals that change: the caller owns
- * all memory. Return codes are for mistakes of the caller, counters for errors
+ * all memory, but that of tables. Return codes are for mistakes of the caller, counters for errors
  * on the wire. Results are written on every return, also after an error, so
  * that a caller never reads a count of an earlier call.
  *
@@ -77,7 +77,8 @@ enum {
     CANSER_MISMATCH = 6,   /* join: the chunk does not begin where the stream stands */
     CANSER_UNABLE = 7,     /* configure: the adapter takes no configuration */
     CANSER_RANGE = 8,      /* a value is out of the range of the adapter, or of the call */
-    CANSER_NO_CONTROL = 9  /* explain: the bytes are not one whole control packet */
+    CANSER_NO_CONTROL = 9, /* explain: the bytes are not one whole control packet */
+    CANSER_NO_MEMORY = 10  /* tables: there is not enough memory */
 };
 
 /* Reasons why no packet starts at a position. One skipped byte is one reject. */
@@ -818,6 +819,49 @@ int canser_capture_write(canser_capture *self, const canser_frame *frames, const
 #define CANSER_CAPTURED_MAX 60
 #define CANSER_BLOCK_MAX    16777216
 #define CANSER_RECORD_MAX   262144
+
+/* ---- For tables of other programs: frames as columns of Arrow. */
+
+/* Frames as columns, in memory of their own that never changes. The caller, and each array and
+ * stream that was made of the table, own it together: the last one that is released frees it. */
+typedef struct canser_table canser_table;
+
+/* The structs of Arrow's C interfaces, see arrow.apache.org/docs/format/CDataInterface.html. Their
+ * release callbacks may be called in any order, from any thread, and when nothing else of canser
+ * is in use. */
+struct ArrowSchema;
+struct ArrowArray;
+struct ArrowArrayStream;
+
+/* Copy frames into a new table. The columns are ts (nanoseconds: a timestamp in UTC if `is_dated`,
+ * else a duration), channel (u8), sent (bool), id (u32), ext, rtr, err (bool), dlc (u8) and data (8
+ * bytes). A time that is not known is null, and so are CANSER_NO_CHANNEL, all channels if
+ * `channels` is NULL, and all of sent if `directions` is NULL. Both are as long as `frames`.
+ *
+ * Returns CANSER_OK, and the caller releases `*table`; CANSER_NULL, CANSER_MISALIGNED or
+ * CANSER_NO_MEMORY, and `*table` is NULL. `frames` may be NULL if `frame_count` is 0. */
+int canser_table_new(const canser_frame *frames, const uint8_t *channels, const uint8_t *directions,
+                     size_t frame_count, int is_dated, canser_table **table);
+
+/* Release the table, once. NULL is allowed. */
+void canser_table_release(canser_table *self);
+
+/* Export the table without a copy: its schema, a struct array of all rows, and a stream whose one
+ * batch is this array. The table may be released before they are.
+ *
+ * The caller gives the struct back by the function below, once. Before it may hand the struct to
+ * another program, which moves its content away as Arrow's specification tells: copies it, and sets
+ * `release` to NULL. Returns CANSER_OK; CANSER_NULL or CANSER_NO_MEMORY, and the pointer is NULL.
+ */
+int canser_table_schema(const canser_table *self, struct ArrowSchema **schema);
+int canser_table_array(canser_table *self, struct ArrowArray **array);
+int canser_table_stream(canser_table *self, struct ArrowArrayStream **stream);
+
+/* Free a struct that was exported, and release its content if it was not moved away. NULL is
+ * allowed. */
+void canser_schema_free(struct ArrowSchema *schema);
+void canser_array_free(struct ArrowArray *array);
+void canser_array_stream_free(struct ArrowArrayStream *stream);
 
 /* cffi: end */
 

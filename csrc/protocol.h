@@ -25,10 +25,14 @@ CANSER_PROTOCOLS(CANSER_DECLARE)
 #define CANSER_OPAQUE(x) __asm__("" : "+r"(x))
 /* Atomic, and a full barrier: if `*p`, of 32 bits, is `from`, set it to `to` and return true. */
 #define CANSER_COMPARE_EXCHANGE(p, from, to) __sync_bool_compare_and_swap((p), (from), (to))
+/* Atomic, and a full barrier: add `n` to `*p`, of 32 bits, and return the sum. */
+#define CANSER_ADD(p, n) __sync_add_and_fetch((p), (uint32_t)(n))
 #elif defined(_MSC_VER)
 #include <intrin.h>
 #define CANSER_COMPARE_EXCHANGE(p, from, to)                                                       \
     (_InterlockedCompareExchange((volatile long *)(p), (long)(to), (long)(from)) == (long)(from))
+#define CANSER_ADD(p, n)                                                                           \
+    ((uint32_t)_InterlockedExchangeAdd((volatile long *)(p), (long)(n)) + (uint32_t)(n))
 #define CANSER_INLINE            static __forceinline
 #define CANSER_NOINLINE          static __declspec(noinline)
 #define CANSER_COLD              static __declspec(noinline)

@@ -28,6 +28,7 @@ SECTIONS = {
     "_core.stream": "Decode and encode",
     "files.reading": "Read files",
     "files.writing": "Write and convert files",
+    "tables.table": "Tables",
     "files.fits": "Which protocol is it",
     "analysis.summary": "What is in a file",
     "live.ports": "Live ports",

@@ -29,6 +29,9 @@ FAST = ["-O2"]
 DEBUG = ["-g", "-O1"]
 SANITIZED = [*DEBUG, "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
+# The memory of tables comes from functions of the test.
+COUNTED = ["-DCANSER_MALLOC=counted_malloc", "-DCANSER_FREE=counted_free", "-pthread"]
+
 # Strings of each set and length: as many as take some seconds, under sanitizers too. All of them
 # take more than a minute.
 STRINGS = [] if LONG else ["2000"]
@@ -145,6 +148,15 @@ def test_captures_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
     assert_all_pass(run(build_test(tmp_path, "pcap", *debug_flags)))
 
 
+def test_tables(tmp_path: Path) -> None:
+    assert_all_pass(run(build_test(tmp_path, "arrow", *FAST, *COUNTED)))
+
+
+@takes_long
+def test_tables_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    assert_all_pass(run(build_test(tmp_path, "arrow", *debug_flags, *COUNTED)))
+
+
 def test_blocks_of_recordings(tmp_path: Path) -> None:
     assert_all_pass(run(build_test(tmp_path, "recording", *FAST)))
 
@@ -169,6 +181,7 @@ def test_threads_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
         pytest.skip("the compiler has no sanitizers")
     flags = [*DEBUG, "-fsanitize=thread", "-pthread"]
     assert_all_pass(run(build_test(tmp_path, "small", *flags)))
+    assert_all_pass(run(build_test(tmp_path, "arrow", *flags, *COUNTED)))
 
 
 def test_a_protocol_of_long_packets(tmp_path: Path, debug_flags: list[str]) -> None:

@@ -22,7 +22,7 @@ FLOORS = [
     ["_notation", "_protocols"],
     ["_items", "adapters", "codec"],
     ["simulation", "timing"],
-    ["recording"],
+    ["recording", "tables"],
     ["files"],
     ["live"],
     ["_display", "analysis"],

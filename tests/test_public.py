@@ -58,6 +58,7 @@ NAMES = [
     "SimulatorReport",
     "Stats",
     "StreamClosedError",
+    "Table",
     "WrongProtocolError",
     "__version__",
     "blocks",
@@ -76,6 +77,7 @@ NAMES = [
     "read",
     "record",
     "show",
+    "table",
     "unload_ipython_extension",
 ]
 

@@ -1,4 +1,4 @@
-"""Arrow IPC files, also named Feather, by pyarrow, in columns: see `columns.COLUMNS`."""
+"""Arrow IPC files, also named Feather, by pyarrow, in columns: see `tables.table.COLUMNS`."""
 
 from collections.abc import Iterator
 from typing import Any, BinaryIO, Final

@@ -5,15 +5,12 @@ from typing import Any, Final
 import numpy as np
 
 from canser._core.text import NO_CHANNEL, SENT, Codes
-from canser._frames import FRAME_DTYPE, NO_TIME, YEAR_2000_NS, FrameArray, reason_invalid
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, reason_invalid
 from canser.errors import FormatError
 from canser.files.tags import RECEIVED, Tagged
+from canser.tables.table import COLUMNS, make_table
 
-__all__ = ["COLUMNS", "from_batch", "is_dated", "load_pyarrow", "to_batch"]
-
-# The columns, in their order. Besides those of FRAME_DTYPE there are `channel` (from 0, null if it
-# is not told) and `sent` (null if the direction is not told).
-COLUMNS: Final = ("ts", "channel", "sent", "id", "ext", "rtr", "err", "dlc", "data")
+__all__ = ["from_batch", "load_pyarrow", "to_batch"]
 
 # Columns that a file need not have.
 _OPTIONAL: Final = ("channel", "sent")
@@ -32,49 +29,11 @@ def load_pyarrow(name: str) -> Any:
     return pa
 
 
-def _bits(pa: Any, values: Any, length: int) -> Any:
-    """Return a column of bools, one bit each."""
-    packed = np.packbits(values, bitorder="little")
-    return pa.Array.from_buffers(pa.bool_(), length, [None, pa.py_buffer(packed)])
-
-
-def _valid(pa: Any, values: Any) -> Any:
-    """Return the bitmap of values that are not null; None if all are valid."""
-    if values.all():
-        return None
-    return pa.py_buffer(np.packbits(values, bitorder="little"))
-
-
 def to_batch(
     pa: Any, frames: FrameArray, channels: Codes | None, directions: Codes | None, *, dated: bool
 ) -> Any:
     """Return frames as a RecordBatch: `ts` is a timestamp in UTC if `dated`, else a duration."""
-    count = len(frames)
-    if channels is None:
-        channels = np.full(count, NO_CHANNEL, np.uint8)
-    if directions is None:
-        sent = pa.nulls(count, pa.bool_())
-    else:
-        sent = _bits(pa, directions == SENT, count)
-    ts_type = pa.timestamp("ns", tz="UTC") if dated else pa.duration("ns")
-
-    def column(of: Any, values: Any, known: Any = None) -> Any:
-        valid = None if known is None else _valid(pa, known)
-        data = pa.py_buffer(np.ascontiguousarray(values))
-        return pa.Array.from_buffers(of, count, [valid, data])
-
-    return pa.RecordBatch.from_arrays(
-        [
-            column(ts_type, frames["ts"], frames["ts"] != NO_TIME),
-            column(pa.uint8(), channels, channels != NO_CHANNEL),
-            sent,
-            column(pa.uint32(), frames["id"]),
-            *(_bits(pa, frames[name], count) for name in ("ext", "rtr", "err")),
-            column(pa.uint8(), frames["dlc"]),
-            column(pa.binary(_DATA_LEN), frames["data"]),
-        ],
-        names=list(COLUMNS),
-    )
+    return pa.record_batch(make_table(frames, channels, directions, dated=dated))
 
 
 def from_batch(pa: Any, batch: Any, name: str, first: int) -> Tagged:
@@ -143,9 +102,3 @@ def _check(frames: FrameArray, name: str, first: int) -> None:
         raise FormatError(f"{name}, frame {first + index}: {found}")
     length = np.where(frames["rtr"], 0, frames["dlc"])
     frames["data"][np.arange(_DATA_LEN) >= length[:, None]] = 0
-
-
-def is_dated(frames: FrameArray) -> bool:
-    """Return whether the first known time is a date."""
-    known = frames["ts"][frames["ts"] != NO_TIME]
-    return len(known) > 0 and int(known[0]) >= YEAR_2000_NS

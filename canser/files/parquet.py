@@ -1,4 +1,4 @@
-"""Parquet, by pyarrow, in columns: see `columns.COLUMNS`.
+"""Parquet, by pyarrow, in columns: see `tables.table.COLUMNS`.
 
 Columns are compressed by zstd. Times are stored as differences, and ids, dlcs and data as places in
 a dictionary: so a frame takes about 4 bytes.

@@ -10,9 +10,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from canser._checks import type_name
 from canser._core.text import Codes
-from canser._frames import FRAME_DTYPE, FrameArray, refuse_mask
+from canser._frames import FRAME_DTYPE, FrameArray, check_codes, refuse_mask
 from canser._output import check_apart
 from canser._protocols import protocol as protocol_of
 from canser._protocols import protocols, tick_ns
@@ -214,13 +213,7 @@ def _tagged(
     refuse_mask(frames, "frames")
     for name, codes in (("channels", channels), ("directions", directions)):
         if codes is not None:
-            if not isinstance(codes, np.ndarray) or codes.dtype != np.uint8:
-                raise TypeError(f"{name} must be an array of uint8, not {type_name(codes)}")
-            if codes.shape != frames.shape:
-                raise ValueError(
-                    f"{name} has the shape {codes.shape}, frames have {frames.shape}; they must be "
-                    "the same"
-                )
+            check_codes(codes, name, frames)
     return Tagged(frames, channels, directions).map(np.ascontiguousarray)
 
 

@@ -1,0 +1,1 @@
+"""Private: frames as columns, for programs that know Arrow. `canser.table` is public."""

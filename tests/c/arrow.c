@@ -1,0 +1,465 @@
+/* What canser.h promises of tables: columns are what a plain loop makes of the frames, no memory
+ * but the caller's is read, what is exported may be released in any order and from any thread, all
+ * memory is given back, and none is lost where there is no more. Every array lies against a page
+ * that may not be touched. POSIX only. It is built with -DCANSER_MALLOC=counted_malloc
+ * -DCANSER_FREE=counted_free. */
+#define _DEFAULT_SOURCE /* MAP_ANONYMOUS, where -std=c11 hides it */
+#define _DARWIN_C_SOURCE
+
+#include "arrow.h"
+#include "canser.h"
+
+#include <errno.h>
+#include <pthread.h>
+#include <stdatomic.h>
+#include <stdbool.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+enum { FRAMES_MAX = 600, COLUMNS = 9, THREADS = 4, TURNS = 200 };
+
+static atomic_ullong passed, failed;
+
+static void check(bool holds, const char *what, size_t round)
+{
+    if (holds)
+        passed++;
+    else if (failed++ < 10)
+        printf("FAILED %s, round %zu\n", what, round);
+}
+
+/* Random numbers, the same in every run: xorshift64*. */
+static uint64_t random_state = 0x9E3779B97F4A7C15;
+
+static size_t random_below(size_t bound)
+{
+    random_state ^= random_state >> 12;
+    random_state ^= random_state << 25;
+    random_state ^= random_state >> 27;
+    return (size_t)((random_state * 0x2545F4914F6CDD1D >> 16) % bound);
+}
+
+/* Memory that is counted; the call of number `fails_at` gets none, counted from 0. */
+static atomic_int blocks;
+static int calls, fails_at = -1;
+void *counted_malloc(size_t size);
+void counted_free(void *p);
+
+void *counted_malloc(size_t size)
+{
+    if (fails_at >= 0 && calls++ == fails_at)
+        return NULL;
+    /* Sanitizers end a program that asks for more than there is. */
+    void *const p = size >> 32 ? NULL : malloc(size);
+    if (p) {
+        memset(p, 0xA5, size); /* so that nothing is zero by chance */
+        blocks++;
+    }
+    return p;
+}
+
+void counted_free(void *p)
+{
+    blocks -= p != NULL;
+    free(p);
+}
+
+static size_t page_size;
+
+/* The end of room for `size` bytes behind which a page may not be touched. */
+static uint8_t *guarded(size_t size)
+{
+    const size_t pages_size = (size + page_size - 1) / page_size * page_size;
+    uint8_t *const p =
+        mmap(NULL, pages_size + page_size, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+
+    if (p == MAP_FAILED || mprotect(p, pages_size, PROT_READ | PROT_WRITE)) {
+        perror("arrow: mmap");
+        exit(2);
+    }
+    return p + pages_size;
+}
+
+static uint8_t *frames_end, *channels_end, *directions_end;
+
+/* Frames of which some have no time, no channel, and flags and lengths that no decoder gives. */
+static const canser_frame *make_frames(size_t count, uint8_t *channels, uint8_t *directions)
+{
+    canser_frame *const frames = (canser_frame *)(void *)frames_end - count;
+    const size_t nulls = random_below(3); /* none, some, all */
+
+    for (size_t i = 0; i < count; i++) {
+        const bool is_null = nulls == 2 || (nulls && random_below(2));
+        frames[i] = (canser_frame){
+            .id = (uint32_t)random_below(UINT64_C(1) << 32),
+            .ext = (uint8_t)random_below(3),
+            .rtr = (uint8_t)random_below(3),
+            .dlc = (uint8_t)random_below(256),
+            .err = (uint8_t)random_below(3),
+            .ts = is_null ? CANSER_NO_TIME : (int64_t)random_below(SIZE_MAX) - (1LL << 40),
+        };
+        for (size_t k = 0; k < 8; k++)
+            frames[i].data[k] = (uint8_t)random_below(256);
+        channels[i] = is_null ? CANSER_NO_CHANNEL : (uint8_t)random_below(256);
+        directions[i] = (uint8_t)random_below(2);
+    }
+    return frames;
+}
+
+static bool bit(const uint8_t *bits, size_t i)
+{
+    return bits[i / 8] >> i % 8 & 1;
+}
+
+/* Whether all bytes from `used` up to the next multiple of 64 are zero. */
+static bool is_padded(const uint8_t *p, size_t used)
+{
+    while (used % 64)
+        if (p[used++])
+            return false;
+    return true;
+}
+
+static void compare(const struct ArrowArray *array, const canser_frame *frames,
+                    const uint8_t *channels, const uint8_t *directions, size_t count)
+{
+    static const size_t bits_of[COLUMNS] = {64, 8, 1, 32, 1, 1, 1, 8, 64};
+    int64_t nulls[COLUMNS] = {0};
+    bool same = true, valid_right = true;
+
+    check(array->length == (int64_t)count && !array->null_count && !array->offset &&
+              array->n_buffers == 1 && array->n_children == COLUMNS && !array->buffers[0] &&
+              !array->dictionary,
+          "struct array", count);
+    for (int column = 0; column < COLUMNS; column++) {
+        const struct ArrowArray *const child = array->children[column];
+        const uint8_t *const valid = child->buffers[0], *const p = child->buffers[1];
+        const size_t used = (count * bits_of[column] + 7) / 8;
+
+        check(child->length == (int64_t)count && !child->offset && child->n_buffers == 2 &&
+                  !child->n_children && !child->dictionary && child->release != NULL,
+              "child", count);
+        check(p && (uintptr_t)p % 64 == 0 && is_padded(p, used), "a column's padding", count);
+        check(!valid || ((uintptr_t)valid % 64 == 0 && is_padded(valid, (count + 7) / 8)),
+              "padding of valid bits", count);
+        for (size_t i = 0; i < count; i++) {
+            const canser_frame *const frame = frames + i;
+            const bool flags[COLUMNS] = {[2] = directions && directions[i] == CANSER_SENT,
+                                         [4] = frame->ext != 0,
+                                         [5] = frame->rtr != 0,
+                                         [6] = frame->err != 0};
+            const bool known[COLUMNS] = {frame->ts != CANSER_NO_TIME,
+                                         channels && channels[i] != CANSER_NO_CHANNEL,
+                                         directions != NULL,
+                                         true,
+                                         true,
+                                         true,
+                                         true,
+                                         true,
+                                         true};
+            const uint8_t channel = channels ? channels[i] : CANSER_NO_CHANNEL;
+
+            nulls[column] += !known[column];
+            valid_right &= (!valid || bit(valid, i)) == known[column];
+            switch (column) {
+            case 0:
+                same &= !memcmp(p + 8 * i, &frame->ts, 8);
+                break;
+            case 1:
+                same &= p[i] == channel;
+                break;
+            case 3:
+                same &= !memcmp(p + 4 * i, &frame->id, 4);
+                break;
+            case 7:
+                same &= p[i] == frame->dlc;
+                break;
+            case 8:
+                same &= !memcmp(p + 8 * i, frame->data, 8);
+                break;
+            default:
+                same &= bit(p, i) == flags[column];
+            }
+        }
+        check(child->null_count == nulls[column], "a count of nulls", count);
+    }
+    check(same, "values", count);
+    check(valid_right, "valid bits", count);
+}
+
+static void compare_schema(const struct ArrowSchema *schema, bool is_dated)
+{
+    static const char *const names[COLUMNS] = {"ts",  "channel", "sent", "id",  "ext",
+                                               "rtr", "err",     "dlc",  "data"};
+    const char *const formats[COLUMNS] = {
+        is_dated ? "tsn:UTC" : "tDn", "C", "b", "I", "b", "b", "b", "C", "w:8"};
+    bool same = !strcmp(schema->format, "+s") && schema->n_children == COLUMNS &&
+                !schema->metadata && !schema->dictionary;
+
+    for (int i = 0; same && i < COLUMNS; i++) {
+        const struct ArrowSchema *const child = schema->children[i];
+        same = !strcmp(child->format, formats[i]) && !strcmp(child->name, names[i]) &&
+               child->flags == ARROW_FLAG_NULLABLE && !child->n_children && !child->metadata;
+    }
+    check(same, "schema", (size_t)is_dated);
+}
+
+/* A struct that is moved away, as consumers move it. Some of them leave nothing behind. */
+static struct ArrowArray move_array(struct ArrowArray *from)
+{
+    const struct ArrowArray moved = *from;
+
+    if (random_below(2))
+        *from = (struct ArrowArray){.release = NULL};
+    from->release = NULL;
+    return moved;
+}
+
+/* Export all there is, move some of it, and release everything in any order. */
+static void export_and_release(canser_table *table, const canser_frame *frames,
+                               const uint8_t *channels, const uint8_t *directions, size_t count,
+                               bool is_dated)
+{
+    enum { TABLE, SCHEMA, ARRAY, STREAM, MOVED, FROM_STREAM, SCHEMA_MOVED, FIRST_CHILD };
+    struct ArrowSchema *schema, schema_moved, child_schema = {.release = NULL};
+    struct ArrowArray *array, moved, from_stream, children[COLUMNS];
+    struct ArrowArrayStream *stream;
+    size_t order[FIRST_CHILD + COLUMNS];
+    const size_t steps = sizeof order / sizeof *order;
+
+    check(!canser_table_schema(table, &schema), "schema", count);
+    check(!canser_table_array(table, &array), "array", count);
+    check(!canser_table_stream(table, &stream), "stream", count);
+    compare_schema(schema, is_dated);
+    compare(array, frames, channels, directions, count);
+    check(!stream->get_schema(stream, &schema_moved), "the stream's schema", count);
+    compare_schema(&schema_moved, is_dated);
+    check(!stream->get_next(stream, &from_stream) && from_stream.release, "a batch", count);
+    compare(&from_stream, frames, channels, directions, count);
+    check(!stream->get_next(stream, &moved) && !moved.release, "the end of a stream", count);
+    check(!stream->get_last_error(stream), "no error", count);
+
+    moved = (struct ArrowArray){.release = NULL};
+    if (random_below(2)) {
+        moved = move_array(array);
+        check(!array->release, "moved away", count);
+    }
+    struct ArrowArray *const parent = moved.release ? &moved : array;
+    for (int i = 0; i < COLUMNS; i++) {
+        children[i] = (struct ArrowArray){.release = NULL};
+        if (random_below(2))
+            children[i] = move_array(parent->children[i]);
+    }
+    if (random_below(2)) {
+        child_schema = *schema->children[3];
+        schema->children[3]->release = NULL;
+    }
+
+    for (size_t i = 0; i < steps; i++)
+        order[i] = i;
+    for (size_t i = steps - 1; i; i--) {
+        const size_t k = random_below(i + 1), other = order[k];
+        order[k] = order[i];
+        order[i] = other;
+    }
+    for (size_t i = 0; i < steps; i++) {
+        struct ArrowArray *left = NULL;
+        switch (order[i]) {
+        case TABLE:
+            canser_table_release(table);
+            break;
+        case SCHEMA:
+            canser_schema_free(schema);
+            break;
+        case ARRAY:
+            canser_array_free(array);
+            break;
+        case STREAM:
+            canser_array_stream_free(stream);
+            break;
+        case MOVED:
+            left = &moved;
+            break;
+        case FROM_STREAM:
+            compare(&from_stream, frames, channels, directions, count);
+            left = &from_stream;
+            break;
+        case SCHEMA_MOVED:
+            schema_moved.release(&schema_moved);
+            check(!schema_moved.release, "a released schema", count);
+            break;
+        default:
+            left = &children[order[i] - FIRST_CHILD];
+        }
+        if (left && left->release) {
+            /* What it shows is still there, whatever was released before. */
+            check(left->length == (int64_t)count, "a length", count);
+            left->release(left);
+            check(!left->release, "a released array", count);
+        }
+    }
+    if (child_schema.release) {
+        check(!strcmp(child_schema.name, "id"), "a child's schema", count);
+        child_schema.release(&child_schema);
+    }
+    check(!blocks, "blocks of memory are left", count);
+}
+
+static void one_round(size_t round)
+{
+    const size_t count = round < 130 ? round : random_below(FRAMES_MAX + 1);
+    uint8_t *const channels = channels_end - count, *const directions = directions_end - count;
+    const canser_frame *const frames = make_frames(count, channels, directions);
+    const uint8_t *const told = random_below(3) ? channels : NULL, *const ways = random_below(3)
+                                                                                     ? directions
+                                                                                     : NULL;
+    const bool is_dated = random_below(2);
+    canser_table *table;
+
+    check(!canser_table_new(frames, told, ways, count, is_dated, &table), "new", round);
+    export_and_release(table, frames, told, ways, count, is_dated);
+}
+
+/* Wherever memory ends, the call says so, and what was there before is given back. */
+static void without_memory(void)
+{
+    static const canser_frame frames[10];
+    canser_table *table;
+    struct ArrowSchema *schema, moved_schema;
+    struct ArrowArray *array, moved;
+    struct ArrowArrayStream *stream;
+
+    fails_at = calls = 0;
+    check(canser_table_new(frames, NULL, NULL, 10, 0, &table) == CANSER_NO_MEMORY && !table, "new",
+          0);
+    fails_at = -1;
+    check(!canser_table_new(frames, NULL, NULL, 10, 0, &table), "new", 1);
+    fails_at = calls = 0;
+    check(canser_table_schema(table, &schema) == CANSER_NO_MEMORY && !schema, "schema", 0);
+    calls = 0;
+    check(canser_table_array(table, &array) == CANSER_NO_MEMORY && !array, "array", 0);
+    calls = 0;
+    check(canser_table_stream(table, &stream) == CANSER_NO_MEMORY && !stream, "stream", 0);
+    fails_at = -1;
+    check(!canser_table_stream(table, &stream), "stream", 1);
+    fails_at = calls = 0;
+    check(stream->get_schema(stream, &moved_schema) == ENOMEM, "the stream's schema", 0);
+    check(stream->get_last_error(stream) != NULL, "an error", 0);
+    calls = 0;
+    check(stream->get_next(stream, &moved) == ENOMEM, "the stream's batch", 0);
+    check(stream->get_last_error(stream) != NULL, "an error", 1);
+    fails_at = -1;
+    check(!stream->get_next(stream, &moved) && moved.length == 10, "the batch after all", 0);
+    check(!stream->get_last_error(stream), "no error any more", 0);
+    moved.release(&moved);
+    canser_array_stream_free(stream);
+    canser_table_release(table);
+    check(!blocks, "blocks of memory are left", 0);
+}
+
+static void mistakes(void)
+{
+    static const canser_frame frames[2];
+    const canser_frame *const off = (const void *)((const uint8_t *)frames + 1);
+    canser_table *table = (void *)&table;
+    struct ArrowSchema *schema;
+    struct ArrowArray *array;
+    struct ArrowArrayStream *stream;
+
+    check(canser_table_new(frames, NULL, NULL, 1, 0, NULL) == CANSER_NULL, "no table", 0);
+    check(canser_table_new(NULL, NULL, NULL, 1, 0, &table) == CANSER_NULL && !table, "no frames",
+          0);
+    check(canser_table_new(off, NULL, NULL, 1, 0, &table) == CANSER_MISALIGNED && !table,
+          "misaligned", 0);
+    for (size_t few = 0; few < 30; few++)
+        check(canser_table_new(frames, NULL, NULL, SIZE_MAX >> few, 0, &table) ==
+                      CANSER_NO_MEMORY &&
+                  !table,
+              "too many", few);
+    check(canser_table_schema(NULL, &schema) == CANSER_NULL && !schema, "no table", 1);
+    check(canser_table_array(NULL, &array) == CANSER_NULL && !array, "no table", 2);
+    check(canser_table_stream(NULL, &stream) == CANSER_NULL && !stream, "no table", 3);
+    check(!canser_table_new(NULL, NULL, NULL, 0, 0, &table), "no frames at all", 0);
+    check(canser_table_schema(table, NULL) == CANSER_NULL, "no schema", 0);
+    check(canser_table_array(table, NULL) == CANSER_NULL, "no array", 0);
+    check(canser_table_stream(table, NULL) == CANSER_NULL, "no stream", 0);
+    canser_table_release(table);
+    canser_table_release(NULL);
+    canser_schema_free(NULL);
+    canser_array_free(NULL);
+    canser_array_stream_free(NULL);
+    check(!blocks, "blocks of memory are left", 1);
+}
+
+/* Threads that release parts of one array, and export and release the table they share. */
+typedef struct {
+    canser_table *table;
+    struct ArrowArray part;
+    struct ArrowSchema part_schema;
+} share;
+
+static void *release_share(void *argument)
+{
+    share *const own = argument;
+    struct ArrowArray *array;
+
+    check(own->part.length == 3, "a part", 0);
+    own->part.release(&own->part);
+    own->part_schema.release(&own->part_schema);
+    check(!canser_table_array(own->table, &array), "array in a thread", 0);
+    check(((const uint8_t *)array->children[7]->buffers[1])[2] == 8, "a value in a thread", 0);
+    canser_array_free(array);
+    return NULL;
+}
+
+static void in_threads(size_t round)
+{
+    const canser_frame frames[3] = {{.dlc = 1}, {.dlc = 2}, {.dlc = 8}};
+    share shares[THREADS];
+    pthread_t threads[THREADS];
+    struct ArrowArray *array;
+    struct ArrowSchema *schema;
+    canser_table *table;
+
+    check(!canser_table_new(frames, NULL, NULL, 3, 0, &table), "new", round);
+    check(!canser_table_array(table, &array), "array", round);
+    check(!canser_table_schema(table, &schema), "schema", round);
+    for (int i = 0; i < THREADS; i++) {
+        shares[i] = (share){table, *array->children[i], *schema->children[i]};
+        array->children[i]->release = NULL;
+        schema->children[i]->release = NULL;
+    }
+    for (int i = 0; i < THREADS; i++) {
+        if (pthread_create(&threads[i], NULL, release_share, &shares[i])) {
+            perror("arrow: pthread_create");
+            exit(2);
+        }
+    }
+    canser_array_free(array);
+    canser_schema_free(schema);
+    for (int i = 0; i < THREADS; i++)
+        pthread_join(threads[i], NULL);
+    canser_table_release(table);
+    check(!blocks, "blocks of memory are left", round);
+}
+
+int main(int argc, char **argv)
+{
+    const size_t rounds = argc > 1 ? (size_t)strtoul(argv[1], NULL, 10) : 2000;
+
+    page_size = (size_t)sysconf(_SC_PAGESIZE);
+    frames_end = guarded(FRAMES_MAX * sizeof(canser_frame));
+    channels_end = guarded(FRAMES_MAX);
+    directions_end = guarded(FRAMES_MAX);
+    mistakes();
+    without_memory();
+    for (size_t round = 0; round < rounds; round++)
+        one_round(round);
+    for (size_t round = 0; round < TURNS; round++)
+        in_threads(round);
+    printf("%llu passed, %llu failed\n", (unsigned long long)passed, (unsigned long long)failed);
+    return failed != 0;
+}
