@@ -21,12 +21,14 @@ writer holds `_PIECE` frames. asammdf keeps them packed in a temporary file up t
 """
 
 import contextlib
+import gc
 import io
 import logging
 import os
 import shutil
+import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -38,6 +40,7 @@ from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_r
 from canser._input import Input
 from canser.errors import FormatError
 from canser.files.dates import date_ns, first_date
+from canser.files.mdf_blocks import check_blocks
 from canser.files.reader import Reader, ReadOptions
 from canser.files.tagged import TaggedReader
 from canser.files.tags import RECEIVED, Tagged, joined
@@ -57,6 +60,14 @@ _MAGICS: Final = (b"MDF     ", b"UnFinMF ")
 # The kinds of frames, in the order of the groups that are written.
 _DATA, _ERROR, _REMOTE = "CAN_DataFrame", "CAN_ErrorFrame", "CAN_RemoteFrame"
 _KINDS: Final = (_DATA, _ERROR, _REMOTE)
+
+# The fields of a frame, each a channel whose name begins with the kind.
+_FIELDS: Final = (
+    "BusChannel", "ID", "IDE", "RTR", "DLC", "DataLength", "DataBytes", "Dir", "EDL",
+)  # fmt: skip
+
+# The type of a channel of variable length.
+_VARIABLE: Final = 1
 
 # Frames that are written at a time, and records that are read at a time.
 _PIECE: Final = 1 << 18
@@ -110,11 +121,16 @@ def _quiet() -> Iterator[None]:
     """Let asammdf print and log nothing: what it cannot do is an exception besides."""
     logger = logging.getLogger("asammdf")
     before, logger.disabled = logger.disabled, True
+    hook, sys.unraisablehook = sys.unraisablehook, _drop
     try:
         with contextlib.redirect_stdout(io.StringIO()):
             yield
     finally:
-        logger.disabled = before
+        logger.disabled, sys.unraisablehook = before, hook
+
+
+def _drop(_: object) -> None:
+    """Drop an error of an object that is collected: asammdf's are incomplete after an error."""
 
 
 def _record(kind: str) -> np.dtype[np.void]:
@@ -298,6 +314,7 @@ class _Mf4Reader(TaggedReader):
             )
         self._fd = self._odd = self._odd_errors = self._lost_channels = self._lost_times = 0
         self._missing = 0  # records that the file says it has, and has not
+        self._gone = 0  # frames whose data are not there
 
     def _fill(self) -> Iterator[None]:
         block = self._load()
@@ -327,18 +344,27 @@ class _Mf4Reader(TaggedReader):
 
     def _load(self) -> Tagged:
         """Return all frames, one group after the other."""
-        name = self._source.name
-        try:
-            with tempfile.TemporaryDirectory() as folder, _quiet(), self._stream(folder) as file:
-                options = {"temporary_folder": folder, "process_bus_logging": False}
-                with contextlib.closing(self._asammdf.MDF(file, **options)) as mdf:
-                    self._take_start(mdf.header)
-                    return self._take_groups(mdf)
-        except FormatError:
-            raise
-        except Exception as error:  # noqa: BLE001 - of damaged files asammdf raises anything
-            reason = str(error).strip().partition("\n")[0] or type(error).__name__
-            raise FormatError(f"{name} cannot be read: {reason}") from None
+        reason = ""
+        with tempfile.TemporaryDirectory() as folder, _quiet():
+            try:
+                with self._stream(folder) as file:
+                    return self._load_from(file, folder)
+            except FormatError:
+                raise
+            except Exception as error:  # noqa: BLE001 - of damaged files asammdf raises anything
+                reason = str(error).strip().partition("\n")[0] or type(error).__name__
+            gc.collect()  # asammdf's temporary file is in use until then
+        raise FormatError(f"{self._source.name} cannot be read: {reason}") from None
+
+    def _load_from(self, file: BinaryIO, folder: str) -> Tagged:
+        size = file.seek(0, io.SEEK_END)
+        file.seek(0)
+        is_final = file.read(8) == _MAGICS[0]
+        check_blocks(file, size, is_final=is_final)
+        mdf = self._asammdf.MDF(file, temporary_folder=folder, process_bus_logging=False)
+        with contextlib.closing(mdf):
+            self._take_start(mdf.header)
+            return self._take_groups(mdf)
 
     @contextlib.contextmanager
     def _stream(self, folder: str) -> Iterator[BinaryIO]:
@@ -371,11 +397,10 @@ class _Mf4Reader(TaggedReader):
             for kind in _KINDS:
                 if kind in names:
                     has_frames = True
-                    pieces = self._pieces(mdf, group, names, kind)
-                    for columns, times in pieces:
+                    own = (each.channel_group.comment or "").startswith(_COMMENT)
+                    for columns, times in self._pieces(mdf, group, names, kind):
                         block, number = self._frames_of(columns, times, kind)
                         blocks.append(block)
-                        own = (each.channel_group.comment or "").startswith(_COMMENT)
                         numbers.append((number, own))
         if not has_frames:
             raise FormatError(
@@ -399,69 +424,97 @@ class _Mf4Reader(TaggedReader):
 
     def _pieces(
         self, mdf: Any, group: int, names: list[str], kind: str
-    ) -> Iterator[tuple[Callable[[str], Any], npt.NDArray[np.float64]]]:
-        """Yield the records of a group, a piece at a time: a function of a field, and times."""
-        total = int(mdf.groups[group].channel_group.cycles_nr)
-        at = 0
-        while at < total:
-            piece = {"record_offset": at, "record_count": min(_PIECE, total - at)}
-            signal = mdf.get(kind, group, names.index(kind), **piece)
-            columns = signal.samples
+    ) -> Iterator[tuple[dict[str, Any], npt.NDArray[np.float64]]]:
+        """Yield the records of a group, a piece at a time: the columns by their names, and times.
 
-            def column(name: str, columns: Any = columns) -> Any:
-                full = f"{kind}.{name}"
-                return columns[full] if full in (columns.dtype.names or ()) else None
+        "is_there" tells of data of variable length whether the file has them.
+        """
+        each = mdf.groups[group]
+        of = each.channel_group
+        record_len = of.samples_byte_nr + of.invalidation_bytes_nr
+        # asammdf would fill up records that are not there with what is in the memory.
+        total = 0
+        if record_len:
+            total = sum(block.original_size for block in each.get_data_blocks()) // record_len
+        self._missing += max(of.cycles_nr - total, 0)
+        total = min(total, of.cycles_nr)
+        places = {
+            name: names.index(f"{kind}.{name}") for name in _FIELDS if f"{kind}.{name}" in names
+        }
+        if not places:
+            raise FormatError(f"{self._source.name}: a group {kind} has no fields of a frame")
+        variable = self._variable_data(mdf, each, places.get("DataBytes"))
+        wanted = [(None, group, place) for place in places.values()]
+        for at in range(0, total, _PIECE):
+            count = min(_PIECE, total - at)
+            signals = mdf.select(wanted, record_offset=at, record_count=count, copy_master=False)
+            columns = {name: signal.samples for name, signal in zip(places, signals, strict=True)}
+            if variable is not None:
+                columns["DataBytes"], columns["is_there"] = _cut_out(variable, columns["DataBytes"])
+            yield columns, signals[0].timestamps
 
-            if not len(columns):
-                break
-            yield column, signal.timestamps
-            at += len(columns)
-        self._missing += total - at
+    @staticmethod
+    def _variable_data(mdf: Any, group: Any, place: int | None) -> Any:
+        """Return the bytes of all data if they have variable lengths; records hold offsets then.
+
+        asammdf's own function for them, in C, does not check the offsets.
+        """
+        if place is None or group.channels[place].channel_type != _VARIABLE:
+            return None
+        data = mdf._mdf._load_signal_data(group=group, index=place)
+        channel = group.channels[place]
+        channel.channel_type = channel.data_type = 0  # an unsigned number
+        channel.dtype_fmt = np.dtype("<u8")
+        group.record = None  # made again
+        return np.frombuffer(data + bytes(_DATA_LEN + 4), np.uint8)
 
     def _frames_of(
-        self, column: Callable[[str], Any], times: npt.NDArray[np.float64], kind: str
+        self, columns: dict[str, Any], times: npt.NDArray[np.float64], kind: str
     ) -> tuple[Tagged, Numbers]:
         """Return records as frames, without the channels, and these as numbers of the file."""
         count = len(times)
 
         def number(name: str, missing: int = 0) -> Numbers:
-            values = column(name)
-            if values is None:
+            if name not in columns:
                 return np.full(count, missing, np.int64)
-            return _whole(values, f"{self._source.name}: {kind}.{name}")
+            return _whole(columns[name], f"{self._source.name}: {kind}.{name}")
 
         ids = number("ID")
         ext = (number("IDE") != 0) | (ids & _EXT_BIT != 0)
         ids &= ~np.int64(_EXT_BIT)
         rtr = np.full(count, kind == _REMOTE) | (number("RTR") != 0)
         size = np.minimum(number("DLC"), _DATA_LEN)
-        length = size if column("DataLength") is None else number("DataLength")
-        dlc = np.where(rtr & (column("DLC") is not None), size, length)
+        length = number("DataLength") if "DataLength" in columns else size
+        dlc = np.where(rtr & ("DLC" in columns), size, length)
         is_fd = number("EDL") != 0
         odd = (ids < 0) | (ids > np.where(ext, _EXTENDED_MAX, _STANDARD_MAX))
         odd |= (dlc < 0) | (dlc > _DATA_LEN)
+        gone = np.zeros(count, np.bool_)
+        if "is_there" in columns:
+            gone = ~columns["is_there"] & ~rtr & (dlc > 0)
         self._fd += int(np.count_nonzero(is_fd))
+        self._gone += int(np.count_nonzero(gone & ~is_fd))
         if kind == _ERROR:
-            self._odd_errors += int(np.count_nonzero(odd & ~is_fd))
+            self._odd_errors += int(np.count_nonzero(odd & ~is_fd & ~gone))
             ids = np.where(ext, ids & _EXTENDED_MAX, ids & _STANDARD_MAX)
             dlc = np.clip(dlc, 0, _DATA_LEN)
             odd[:] = False
-        self._odd += int(np.count_nonzero(odd & ~is_fd))
+        self._odd += int(np.count_nonzero(odd & ~is_fd & ~gone))
         frames = np.zeros(count, FRAME_DTYPE)
         frames["id"], frames["ext"], frames["rtr"], frames["dlc"] = ids, ext, rtr, dlc
         frames["err"] = kind == _ERROR
         frames["ts"] = self._nanoseconds(times)
-        data = column("DataBytes")
-        if data is not None:
-            data = _bytes(data, count)[:, :_DATA_LEN]
+        if "DataBytes" in columns:
+            data = _bytes(columns["DataBytes"], count)[:, :_DATA_LEN]
             frames["data"][:, : data.shape[1]] = data
             has_data = np.where(rtr, 0, dlc)
             frames["data"][np.arange(_DATA_LEN) >= has_data[:, None]] = 0
         elif kind == _DATA and dlc.any():
             raise FormatError(f"{self._source.name} has no channel {kind}.DataBytes")
-        sent = np.where(_is_sent(column("Dir"), count), SENT, RECEIVED).astype(np.uint8)
+        is_sent = _is_sent(columns["Dir"]) if "Dir" in columns else np.zeros(count, np.bool_)
+        sent = np.where(is_sent, SENT, RECEIVED).astype(np.uint8)
         numbers = number("BusChannel", -1)
-        kept = ~(is_fd | odd)
+        kept = ~(is_fd | odd | gone)
         if not kept.all():
             frames, sent, numbers = (each.compress(kept) for each in (frames, sent, numbers))
         return Tagged(frames, None, sent), numbers
@@ -483,6 +536,7 @@ class _Mf4Reader(TaggedReader):
             "frames of channels over 255, without their channel": self._lost_channels,
             "frames with a time over 64 bits of nanoseconds, without it": self._lost_times,
             "records that are missing; is the file cut off?": self._missing,
+            "frames whose data are missing, left out; is the file cut off?": self._gone,
         }
         return remarks + [f"{what}: {count:,}" for what, count in counts.items() if count]
 
@@ -503,10 +557,25 @@ def _bytes(values: Any, count: int) -> npt.NDArray[np.uint8]:
     return plain.view(np.uint8).reshape(count, -1) if count else np.empty((0, 0), np.uint8)
 
 
-def _is_sent(values: Any, count: int) -> Any:
+def _cut_out(data: npt.NDArray[np.uint8], offsets: Any) -> tuple[Any, Any]:
+    """Return the first bytes of data of variable length at offsets, and whether they are there.
+
+    The length stands before the bytes, in 4 bytes. `data` has more bytes at its end than are cut.
+    """
+    end = len(data) - _DATA_LEN - 4
+    is_there = offsets <= max(end - 4, 0)
+    at = np.where(is_there, offsets, 0).astype(np.int64)
+    lengths = np.zeros(len(at), np.int64)
+    for place in range(4):
+        lengths |= data[at + place].astype(np.int64) << (8 * place)
+    is_there &= at + 4 + lengths <= end
+    cut = data[at[:, None] + np.arange(4, 4 + _DATA_LEN)]
+    cut[np.arange(_DATA_LEN) >= lengths[:, None]] = 0
+    return cut, is_there
+
+
+def _is_sent(values: Any) -> Any:
     """Return whether frames were sent: Dir is 1, or the text Tx."""
-    if values is None:
-        return np.zeros(count, np.bool_)
     if values.dtype.kind in "SUO":
         return np.char.upper(values.astype("S8")) == b"TX"
     return values == 1
