@@ -6,12 +6,13 @@ that hold records, channels and data are visited here, once each. Source: the AS
 asammdf's `v4_blocks`.
 """
 
+import io
 import struct
 import zlib
 from collections.abc import Iterator
 from typing import BinaryIO, Final
 
-__all__ = ["BLOCK_MOST", "check_blocks"]
+__all__ = ["BLOCK_MOST", "RECORD_MOST", "check_blocks", "data_len"]
 
 # The most bytes of a record, and of an inflated block of data. Programs write up to 32 MiB.
 RECORD_MOST: Final = 1 << 24
@@ -142,6 +143,28 @@ def _check_packed(file: BinaryIO, at: int, size: int) -> None:
 def _read(file: BinaryIO, at: int, length: int, size: int) -> bytes:
     """Return bytes of the file; ValueError if it has fewer."""
     if at + length > size:
-        raise ValueError(f"byte {at:,}: {length:,} bytes from here are not in the file; is it cut off?")
+        raise ValueError(
+            f"byte {at:,}: {length:,} bytes from here are not in the file; is it cut off?"
+        )
     file.seek(at)
     return file.read(length)
+
+
+def data_len(file: BinaryIO, at: int) -> int:
+    """Return the inflated bytes of the data at a place: of a block, or of a list of blocks.
+
+    The file is one that `check_blocks` has found good.
+    """
+    size = file.seek(0, io.SEEK_END)
+    total, places = 0, [at]
+    while places:
+        at = places.pop()
+        kind, length, count = _HEADER.unpack(_read(file, at, _HEADER.size, size))
+        if kind == b"##DZ":
+            total += _PACKED.unpack(_read(file, at + _HEADER.size, _PACKED.size, size))[1]
+        elif kind in _DATA:
+            total += length - _HEADER.size
+        else:
+            links = struct.unpack(f"<{count}Q", _read(file, at + _HEADER.size, 8 * count, size))
+            places += [each for part in _LINKS.get(kind, ()) for each in links[part] if each]
+    return total

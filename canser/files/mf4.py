@@ -40,7 +40,7 @@ from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_r
 from canser._input import Input
 from canser.errors import FormatError
 from canser.files.dates import date_ns, first_date
-from canser.files.mdf_blocks import check_blocks
+from canser.files.mdf_blocks import check_blocks, data_len
 from canser.files.reader import Reader, ReadOptions
 from canser.files.tagged import TaggedReader
 from canser.files.tags import RECEIVED, Tagged, joined
@@ -66,8 +66,9 @@ _FIELDS: Final = (
     "BusChannel", "ID", "IDE", "RTR", "DLC", "DataLength", "DataBytes", "Dir", "EDL",
 )  # fmt: skip
 
-# The type of a channel of variable length.
+# The type of a channel of variable length, and the flag of a group of its data.
 _VARIABLE: Final = 1
+_FLAG_VARIABLE: Final = 1
 
 # Frames that are written at a time, and records that are read at a time.
 _PIECE: Final = 1 << 18
@@ -314,6 +315,7 @@ class _Mf4Reader(TaggedReader):
             )
         self._fd = self._odd = self._odd_errors = self._lost_channels = self._lost_times = 0
         self._missing = 0  # records that the file says it has, and has not
+        self._unsorted = 0  # bytes of groups that share their data, that are in no group
         self._gone = 0  # frames whose data are not there
 
     def _fill(self) -> Iterator[None]:
@@ -364,6 +366,7 @@ class _Mf4Reader(TaggedReader):
         mdf = self._asammdf.MDF(file, temporary_folder=folder, process_bus_logging=False)
         with contextlib.closing(mdf):
             self._take_start(mdf.header)
+            self._unsorted = sum(_unsorted(mdf, file))
             return self._take_groups(mdf)
 
     @contextlib.contextmanager
@@ -536,6 +539,7 @@ class _Mf4Reader(TaggedReader):
             "frames of channels over 255, without their channel": self._lost_channels,
             "frames with a time over 64 bits of nanoseconds, without it": self._lost_times,
             "records that are missing; is the file cut off?": self._missing,
+            "bytes of records behind a damaged one, left out": self._unsorted,
             "frames whose data are missing, left out; is the file cut off?": self._gone,
         }
         return remarks + [f"{what}: {count:,}" for what, count in counts.items() if count]
@@ -555,6 +559,35 @@ def _bytes(values: Any, count: int) -> npt.NDArray[np.uint8]:
     """Return a column of bytes as an array of a row for each record."""
     plain = np.ascontiguousarray(values)
     return plain.view(np.uint8).reshape(count, -1) if count else np.empty((0, 0), np.uint8)
+
+
+def _unsorted(mdf: Any, file: BinaryIO) -> Iterator[int]:
+    """Yield the bytes of data of several groups that asammdf has put into none of them.
+
+    It sorts such data by the ids of groups before the records, and ends at an id that is unknown.
+    The part of a record at the end of a file that is cut off is not counted.
+    """
+    shared: dict[int, list[Any]] = {}
+    for group in mdf.groups:
+        if group.data_group.record_id_len and group.data_group.data_block_addr:
+            shared.setdefault(group.data_group.data_block_addr, []).append(group)
+    for at, groups in shared.items():
+        left, longest = data_len(file, at), 0
+        for group in groups:
+            of, id_len = group.channel_group, group.data_group.record_id_len
+            if of.flags & _FLAG_VARIABLE or not of.samples_byte_nr:
+                continue
+            record_len = of.samples_byte_nr + of.invalidation_bytes_nr
+            longest = max(longest, record_len + id_len)
+            records = sum(block.original_size for block in group.get_data_blocks()) // record_len
+            left -= records * (record_len + id_len)
+            for place, channel in enumerate(group.channels):
+                if channel.channel_type == _VARIABLE:
+                    data = sum(each.original_size for each in group.get_signal_data_blocks(place))
+                    left -= data + (records * id_len if data else 0)
+                    longest = max(longest, data // max(records, 1) + _DATA_LEN)
+        if left > longest:
+            yield left
 
 
 def _cut_out(data: npt.NDArray[np.uint8], offsets: Any) -> tuple[Any, Any]:
