@@ -372,16 +372,16 @@ class _Mf4Reader(TaggedReader):
     @contextlib.contextmanager
     def _stream(self, folder: str) -> Iterator[BinaryIO]:
         """Give the file for asammdf; it changes one that was not finalized: that is a copy."""
-        source = self._source
-        with contextlib.ExitStack() as stack:
-            file = stack.enter_context(open(os.dup(source.file.fileno()), "rb"))  # noqa: PTH123
-            file.seek(source.start)
-            if source.start or file.read(8) != _MAGICS[0]:
-                file.seek(source.start)
-                copy = stack.enter_context(Path(folder, "x.mf4").open("w+b"))
+        start = self._source.start
+        with open(os.dup(self._source.file.fileno()), "rb") as file:  # noqa: PTH123
+            file.seek(start)
+            if not start and file.read(8) == _MAGICS[0]:
+                yield file
+                return
+            file.seek(start)
+            with Path(folder, "x.mf4").open("w+b") as copy:
                 shutil.copyfileobj(file, copy, 1 << 20)
-                file = copy
-            yield file
+                yield copy
 
     def _take_start(self, header: Any) -> None:
         start_ns = int(header.abs_time)
