@@ -14,10 +14,11 @@ standard's bus logging, files of CANedge devices, asammdf, python-can (`can.io.m
 Data of a frame ends at DataLength. True CAN FD frames are counted, and left out, and so are frames
 with an impossible id or length. An error frame may tell no id.
 
-A reader holds all frames of a file, in up to 60 bytes each, as the last group may have the first
+A reader holds all frames of a file, in up to 70 bytes each, as the last group may have the first
 frame. From asammdf it takes pieces of `_PIECE` records. asammdf itself holds a block of the file at
-a time, all variable data of a group, and, of a file that was not finalized, a copy on disk. A
-writer holds `_PIECE` frames. asammdf keeps them packed in a temporary file up to the end.
+a time, up to `BLOCK_MOST` bytes, and all data of variable length of a group. A file that was not
+finalized is copied on disk, and never changed. A writer holds `_PIECE` frames. asammdf keeps those
+before, packed, in a temporary file up to the end.
 """
 
 import contextlib
