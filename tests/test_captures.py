@@ -450,11 +450,13 @@ def test_auto_does_not_guess(tmp_path: Path) -> None:
         (b"***BUSMASTER Ver 2.4.0***\n***PROTOCOL CAN***\n***NOTE***\n", "BUSMASTER"),
         (b"@ TEXT @ 3 @ 22 @ 0 @ 0 @ 500 @ 100 @\r\n", "CANHacker"),
         (bz2.compress(b"x" * 99), "bzip2.*bunzip2"),
-        (b"MDF     " * 9, "MF4.*can_logconvert"),
+        (b"SQLite format 3\0" * 9, "a SQLite database.*python-can"),
+        (b"MDF     3.30    " * 9, "MDF file of a version before 4.*asammdf"),
+        (b"Generic File\1\0\x22\0" * 9, "encrypted log of the CANedge"),
         (b"TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength\n", "CANedge"),
         (b"dear diary, today nothing came over the bus\n", "a text"),
     ],
-    ids=["BUSMASTER", "CANHacker", "bzip2", "MF4", "CANedge", "text"],
+    ids=["BUSMASTER", "CANHacker", "bzip2", "SQLite", "MDF 3", "MFE", "CANedge", "text"],
 )
 def test_other_formats_are_named_with_what_reads_them(
     head: bytes, message: str, protocol: str | None, tmp_path: Path

@@ -191,14 +191,14 @@ ERRORS = {
         ["standard input", "-p", "file"],
     ),
     "unknown suffix": (
-        ["convert", "seeed.bin", "x.mf4", "-p", "seeed"],
+        ["convert", "seeed.bin", "x.sqlite", "-p", "seeed"],
         BAD_CALL,
-        ["x.mf4", ".blf, .log, .csv, .gvret.csv, .npy, .parquet, .pcap, .trc", "--to"],
+        ["x.sqlite", ".blf, .log, .csv, .gvret.csv, .mf4, .npy, .parquet, .pcap, .trc", "--to"],
     ),
     "unknown format": (
-        ["convert", "seeed.bin", "x", "-p", "seeed", "--to", "mf4"],
+        ["convert", "seeed.bin", "x", "-p", "seeed", "--to", "sqlite"],
         BAD_CALL,
-        ["mf4", "npy"],
+        ["sqlite", "npy"],
     ),
     "unknown unit": (
         ["info", "serial.bin", "-p", "serial", "--ts-unit", "minutes"],

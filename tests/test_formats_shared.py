@@ -14,7 +14,7 @@ from shared import LOG_FILES, needs_logs
 
 pytestmark = needs_logs
 
-FORMATS = (".log", ".txt", ".csv", ".asc", ".trc", ".blf", ".pcap", ".pcapng")
+FORMATS = (".log", ".txt", ".csv", ".asc", ".trc", ".blf", ".pcap", ".pcapng", ".mf4")
 
 # Of captures the channel is the number of the interface, which has a name besides.
 CAPTURES = (".pcap", ".pcapng")
@@ -53,7 +53,9 @@ CUT = {"canboat_candumpSample1.txt"}
 def seen(path: Path) -> tuple[list[Seen], canser.Blocks]:
     """Return all frames of a file, with channels by name and directions."""
     rows = []
-    blocks = canser.blocks(path, tz=dt.UTC)
+    # Expected times of MF4 files have the start added.
+    epoch = "file" if path.suffix == ".mf4" else None
+    blocks = canser.blocks(path, tz=dt.UTC, epoch=epoch)
     for frames in blocks:
         names = blocks.channel_names
         for at, frame in enumerate(frames):
@@ -133,6 +135,7 @@ def test_another_format_is_named_in_one_line(name: str) -> None:
 STARTS = {
     "edge.asc": "2026-01-01T00:00:00.123",
     "edge.blf": "2026-01-01T00:00:00.123",
+    "edge-pycan46.mf4": "2026-11-26T09:38:52.535598",
     "edge.trc": "2026-01-01T00:00:00.123457",
     "edge-1.1.trc": "2026-01-01T00:00:00.123457",
     "logfile.asc": "2017-09-30T15:06:13.191",

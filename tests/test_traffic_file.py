@@ -64,7 +64,7 @@ REFUSED = {
     "BUSMASTER": (BUSMASTER.encode(), "serial", BAD_DATA, "is a BUSMASTER log, not raw bytes"),
     "BUSMASTER in cantalope": (BUSMASTER.encode(), "cantalope", BAD_DATA, "is a BUSMASTER log"),
     "bzip2": (bz2.compress(SEEED), "seeed", BAD_DATA, "packed by bzip2"),
-    "MF4": (b"MDF     " + NOISE, "cantalope", BAD_DATA, "MF4"),
+    "SQLite": (b"SQLite format 3\0" + NOISE, "cantalope", BAD_DATA, "SQLite"),
     "another protocol": (SEEED, "serial", BAD_DATA, "look like seeed (100%), not like serial"),
     "another protocol in cantalope": (SEEED, "cantalope", BAD_DATA, "look like seeed (100%)"),
     "noise": (NOISE, "cantalope", BAD_DATA, "look like no protocol"),

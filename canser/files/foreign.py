@@ -23,7 +23,7 @@ class Foreign(NamedTuple):
     remedy: str  # how the file can be read
 
 
-_PYTHON_CAN: Final = "python-can converts it: can_logconvert FILE run.log"
+_OLD_MDF: Final = Foreign("an MDF file of a version before 4", "asammdf saves it as MF4")
 _UNPACK: Final = "unpack it first"
 
 TEXT: Final = Foreign("a text", "canser does not know what it holds")
@@ -33,8 +33,12 @@ _MAGICS: Final = (
     (b"BZh", Foreign("packed by bzip2", f"{_UNPACK}: bunzip2 FILE")),
     (b"\xfd7zXZ\0", Foreign("packed by xz", f"{_UNPACK}: unxz FILE")),
     (b"PK\x03\x04", Foreign("a zip archive", f"{_UNPACK}: unzip FILE")),
-    (b"MDF     ", Foreign("an ASAM MF4 log", _PYTHON_CAN)),
-    (b"UnFinMF ", Foreign("an ASAM MF4 log", _PYTHON_CAN)),
+    (b"MDF     ", _OLD_MDF),
+    (b"UnFinMF ", _OLD_MDF),
+    (
+        b"Generic File",
+        Foreign("a packed or encrypted log of the CANedge", "CSS Electronics' converters read it"),
+    ),
     (b"SQLite format 3\0", Foreign("a SQLite database", "python-can reads those it wrote")),
     (b"\x89HDF\r\n\x1a\n", Foreign("an HDF5 file", "h5py reads it")),
 )
