@@ -18,7 +18,7 @@ lint: $(VENV)/.lint ## run the linters
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/clang-format --dry-run -Werror csrc/*.[ch] csrc/protocols/*.c tests/c/*.[ch] tests/c/guard/*.[ch] bench/*.c examples/*.c
+	$(BIN)/clang-format --dry-run -Werror csrc/*.[ch] csrc/*/*.[ch] tests/c/*.[ch] tests/c/guard/*.[ch] bench/*.c examples/*.c
 
 docs: $(VENV)/.docs ## make the documentation in build/docs; warnings are errors
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
