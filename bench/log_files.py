@@ -8,10 +8,14 @@ read() and write().
 
 import csv
 import io
+import subprocess
+import sys
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 import canser
 import data
@@ -193,6 +197,82 @@ def file_to_file(name: str, count: int, folder: Path, rounds: int) -> Iterator[L
     yield LogRow(f"write to {name}, over a copy", "", ratio, 0.5, note)
 
 
+def mf4(folder: Path, rounds: int) -> Iterator[LogRow]:
+    """Compare writing MF4 with python-can, by the frame, and with asammdf alone."""
+    import asammdf  # noqa: PLC0415 - seldom used
+    import can  # noqa: PLC0415
+
+    count, fewer = 400_000, 10_000
+    frames = traffic(count)
+    messages = to_messages(frames[:fewer])
+    path, other = folder / "run.mf4", folder / "other.mf4"
+    dtype = [
+        ("CAN_DataFrame.BusChannel", "<u1"), ("CAN_DataFrame.ID", "<u4"),
+        ("CAN_DataFrame.IDE", "<u1"), ("CAN_DataFrame.DLC", "<u1"),
+        ("CAN_DataFrame.DataLength", "<u1"), ("CAN_DataFrame.DataBytes", "<u1", (8,)),
+        ("CAN_DataFrame.Dir", "<u1"),
+    ]  # fmt: skip
+
+    def ours() -> None:
+        canser.write(frames, path, force=True)
+
+    def by_python_can() -> None:
+        with can.MF4Writer(str(other)) as writer:
+            for message in messages:
+                writer(message)
+
+    def by_asammdf() -> None:
+        records = np.zeros(count, dtype)
+        for name, field in (("ID", "id"), ("IDE", "ext"), ("DLC", "dlc"), ("DataBytes", "data")):
+            records[f"CAN_DataFrame.{name}"] = frames[field]
+        records["CAN_DataFrame.DataLength"] = frames["dlc"]
+        records["CAN_DataFrame.BusChannel"] = 1
+        seconds = (frames["ts"] - frames["ts"][0]) / 1e9
+        source = asammdf.Source(
+            "CAN", "CAN", "", asammdf.Source.SOURCE_BUS, asammdf.Source.BUS_TYPE_CAN
+        )
+        with asammdf.MDF(version="4.10") as made:
+            signal = asammdf.Signal(records, seconds, name="CAN_DataFrame", source=source)
+            made.append(signal, acq_name="CAN", acq_source=source)
+            made.save(other, overwrite=True, compression=2)
+
+    peer_s, our_s, ratio = paired(by_python_can, ours, rounds)
+    note = f"{count / our_s / 1e6:.1f} M frames/s, python-can {fewer / peer_s / 1e3:.0f} k"
+    yield LogRow("write mf4, over python-can", "", ratio * count / fewer, 100, note)
+    peer_s, our_s, ratio = paired(by_asammdf, ours, rounds)
+    note = f"{count / our_s / 1e6:.1f} M frames/s, asammdf {count / peer_s / 1e6:.1f}"
+    yield LogRow("write mf4, over asammdf alone", "", ratio, 0.9, note)
+
+
+# Writes the table of an Arrow file as Parquet, as canser does.
+BY_PYARROW = """
+import pyarrow as pa, pyarrow.parquet as parquet
+with pa.memory_map({source!r}) as file:
+    table = pa.ipc.open_file(file).read_all()
+parquet.write_table(table, {target!r}, compression="zstd", compression_level=3,
+    use_dictionary=["id", "dlc", "data", "channel"],
+    column_encoding={{"ts": "DELTA_BINARY_PACKED"}})
+"""
+
+
+def to_parquet(folder: Path, count: int, rounds: int) -> Iterator[LogRow]:
+    """Compare raw bytes to Parquet, a whole process, with pyarrow writing the same table."""
+    raw, made = folder / "run.bin", folder / "run.parquet"
+    canser.write(traffic(count), raw, "serial", force=True)
+    canser.convert(raw, folder / "run.arrow", "serial", force=True)
+    target = folder / "other.parquet"
+    code = BY_PYARROW.format(source=str(folder / "run.arrow"), target=str(target))
+    command = ["-m", "canser", "convert", str(raw), str(made), "-p", "serial", "--force"]
+
+    def run(*arguments: str) -> None:
+        subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
+
+    peer_s, our_s, ratio = paired(lambda: run("-c", code), lambda: run(*command), rounds)
+    assert (canser.read(target) == canser.read(made)).all()
+    note = f"{count / our_s / 1e6:.1f} M frames/s, pyarrow {count / peer_s / 1e6:.1f}"
+    yield LogRow("raw to parquet, process, over pyarrow", "", ratio, 0.8, note)
+
+
 def rows(rounds: int, folder: Path, count: int = 1_000_000) -> Iterator[LogRow]:
     """Yield all rows."""
     with warnings.catch_warnings():
@@ -201,6 +281,8 @@ def rows(rounds: int, folder: Path, count: int = 1_000_000) -> Iterator[LogRow]:
             yield from in_memory(name, rounds)
         for name in REQUIRED:
             yield from file_to_file(name, count, folder, rounds)
+        yield from mf4(folder, rounds)
+        yield from to_parquet(folder, 2 * count, rounds)
 
 
 def main() -> None:

@@ -415,7 +415,7 @@ def rows(count: int, size: int, rounds: int, folder: Path) -> Iterator[Row]:
         if protocol == ONE:
             yield from convert(stream, size, folder, max(rounds // 4, 1))
         yield from memory_rows(protocol, size // 2)
-    for row in log_files.rows(max(rounds // 4, 1), folder):
+    for row in log_files.rows(max(rounds // 4, 1), folder, max(count // 4, 50_000)):
         yield Row(*row)
 
 

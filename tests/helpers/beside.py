@@ -21,12 +21,13 @@ import pytest
 
 from canser.commands.cli import main
 from device import PATIENCE
+from forked import CAN_FORK, Forked
 
 
 class Running:
     """A command that runs: its lines as they come."""
 
-    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+    def __init__(self, process: Any) -> None:
         self.process = process
         self.out: list[str] = []
         self.err: list[str] = []
@@ -75,7 +76,7 @@ class Running:
         """Send a signal, if one is given, and wait for the end; return the exit code."""
         if number is not None:
             self.process.send_signal(number)
-        code = self.process.wait(PATIENCE)
+        code: int = self.process.wait(PATIENCE)
         for thread in self._threads:
             thread.join(PATIENCE)
         return code
@@ -86,7 +87,11 @@ def running(folder: Path, *arguments: str, python: str = "", **more: Any) -> Ite
     """Run a command of canser; `python`: by code that calls `main` of canser.commands.cli."""
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     call = [sys.executable, *(["-c", python] if python else ["-m", "canser"]), *arguments]
-    process: Any = subprocess.Popen(call, cwd=folder, **pipes | more)
+    files = pipes | more
+    if CAN_FORK and not python and files.keys() == pipes.keys():
+        process: Any = Forked(folder, arguments, tuple(files.values()), os.environ)
+    else:
+        process = subprocess.Popen(call, cwd=folder, **files)
     with process:
         run = Running(process)
         try:
