@@ -19,7 +19,7 @@ from reference import RECORD, Control, Result, Stats, unpack
 hypothesis.settings.register_profile(
     "canser",
     deadline=None,
-    max_examples=120 if LONG else 40,
+    max_examples=120 if LONG else 30,
     derandomize=bool(os.environ.get("CI")),
 )
 hypothesis.settings.load_profile("canser")
