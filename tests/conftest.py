@@ -11,15 +11,15 @@ import pytest
 
 import canser
 from canser.codec import parallel
-from long import LONG
+from long import EXAMPLES
 from reference import RECORD, Control, Result, Stats, unpack
 
-# No deadline: a shared machine is late now and then. Many examples where all that takes long is
-# run. In CI the same examples every time, so that a failure there is never the luck of the draw.
+# No deadline: a shared machine is late now and then. In CI the same examples every time, so that
+# a failure there is never the luck of the draw.
 hypothesis.settings.register_profile(
     "canser",
     deadline=None,
-    max_examples=120 if LONG else 30,
+    max_examples=EXAMPLES,
     derandomize=bool(os.environ.get("CI")),
 )
 hypothesis.settings.load_profile("canser")

@@ -36,7 +36,7 @@ from canser.codec import parallel, sinks
 from canser.codec.parallel import Ahead
 from canser.files import raw as raw_format
 from canser.simulation.traffic import line_noise, vehicle
-from long import LONG
+from long import EXAMPLES
 from reference import ID_EXT_MAX, ID_MAX, TICK_NS, WIRE_FORMATS, Frame
 
 # Threads must agree on noise, too: that most bytes are in no packet is not judged here.
@@ -272,7 +272,7 @@ def assert_is_what_the_reference_says(
 def test_any_number_of_threads_and_any_borders(protocol: str) -> None:
     tally: Counter[str] = Counter()
 
-    @settings(max_examples=240 if LONG else 60)
+    @settings(max_examples=2 * EXAMPLES)
     @given(recipes, worsts, st.integers(2, 16), st.sampled_from(sorted(TICK_NS)), st.data())
     def judge(recipe: Recipe, worst: Worst, threads: int, unit: str, data: st.DataObject) -> None:
         stream = recipe.stream(protocol)

@@ -1,14 +1,10 @@
 """Packets of captures as frames, and frames as packets: C's work for each, and its memory."""
 
-from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-import numpy as np
-
 from canser._core._lib import ffi, lib
-from canser._core.buffers import input_bytes, input_frames, raise_status
-from canser._core.table import text
-from canser._core.text import Codes
+from canser._core.buffers import input_bytes, raise_status
+from canser._core.text import Codes, FrameWriter
 from canser._frames import FrameArray
 
 __all__ = [
@@ -31,9 +27,6 @@ RECORD_MAX: Final = int(lib.CANSER_RECORD_MAX)
 
 # Bytes that are always enough for a packet; see canser_capture_write.
 _PACKET_MOST: Final = int(lib.CANSER_CAPTURED_MAX)
-
-# Frames that are written by one call: their packets fit into a cache.
-_WRITTEN_AT_ONCE: Final = 1 << 12
 
 # Interfaces that there is room for at first.
 _INTERFACES: Final = 8
@@ -103,39 +96,4 @@ class PacketWriter:
 
     def __init__(self, *, is_blocks: bool) -> None:
         self.state = ffi.new("canser_capture *", {"is_blocks": is_blocks})
-        self._out = memoryview(np.empty(_WRITTEN_AT_ONCE * _PACKET_MOST, np.uint8).data)
-        self._room = ffi.from_buffer("uint8_t[]", self._out, require_writable=True)
-        self._result = ffi.new("canser_encoded *")
-        self._before = 0  # frames of all calls before
-
-    def packets(
-        self, frames: FrameArray, channels: Codes | None, directions: Codes | None
-    ) -> Iterator[memoryview]:
-        """Yield the packets of frames in parts, each good until the next one.
-
-        ValueError names the first frame that is none of classic CAN.
-        """
-        source, done, result = input_frames(frames), 0, self._result
-        codes = [
-            ffi.NULL if each is None else ffi.from_buffer("uint8_t[]", each)
-            for each in (channels, directions)
-        ]
-        while done < len(frames):
-            at = [each + done if each else each for each in codes]
-            status = lib.canser_capture_write(
-                self.state,
-                source + done,
-                *at,
-                len(frames) - done,
-                self._room,
-                len(self._out),
-                result,
-            )
-            if status and status != lib.CANSER_REFUSED:
-                raise_status(status)
-            yield self._out[: result.byte_count]
-            done += result.frame_count
-            if status:
-                why = text(lib.canser_refusal_text(result.refusal))
-                raise ValueError(f"frame {self._before + done} is none of classic CAN: {why}")
-        self._before += len(frames)
+        self.packets = FrameWriter(lib.canser_capture_write, self.state, _PACKET_MOST).parts

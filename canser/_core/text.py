@@ -1,6 +1,6 @@
 """Lines of text as frames, and frames as lines: C's work for each line, and its memory."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -11,7 +11,15 @@ from canser._core.buffers import Pointer, input_bytes, input_frames, raise_statu
 from canser._core.table import text
 from canser._frames import FrameArray
 
-__all__ = ["NO_CHANNEL", "SENT", "Codes", "Taken", "TextReader", "TextWriter"]
+__all__ = [
+    "NO_CHANNEL",
+    "SENT",
+    "Codes",
+    "FrameWriter",
+    "Taken",
+    "TextReader",
+    "TextWriter",
+]
 
 # Channels or directions of frames: uint8, one for each frame.
 Codes = npt.NDArray[np.uint8]
@@ -88,20 +96,24 @@ class TextReader(_Text):
         return Taken(rows.used, rows.line_count, rows.frame_count)
 
 
-class TextWriter(_Text):
-    """Writes frames as lines of a file; see canser_text_write."""
+class FrameWriter:
+    """Writes frames by a function of C into one room, part by part.
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
-        self._out = memoryview(np.empty(_WRITTEN_AT_ONCE * _LINE_MOST, np.uint8).data)
+    `function` has the parameters and the results of canser_text_write. `frame_most` are bytes that
+    are always enough for a frame.
+    """
+
+    def __init__(self, function: Callable[..., int], state: Pointer, frame_most: int) -> None:
+        self._function, self._state = function, state
+        self._out = memoryview(np.empty(_WRITTEN_AT_ONCE * frame_most, np.uint8).data)
         self._room = ffi.from_buffer("uint8_t[]", self._out, require_writable=True)
         self._result = ffi.new("canser_encoded *")
         self._before = 0  # frames of all calls before
 
-    def lines(
+    def parts(
         self, frames: FrameArray, channels: Codes | None, directions: Codes | None
     ) -> Iterator[memoryview]:
-        """Yield the lines of frames in parts, each good until the next one.
+        """Yield the bytes of frames in parts, each good until the next one.
 
         ValueError names the first frame that is none of classic CAN.
         """
@@ -112,14 +124,9 @@ class TextWriter(_Text):
         ]
         while done < len(frames):
             at = [each + done if each else each for each in codes]
-            status = lib.canser_text_write(
-                self.state,
-                source + done,
-                *at,
-                len(frames) - done,
-                self._room,
-                len(self._out),
-                result,
+            left = len(frames) - done
+            status = self._function(
+                self._state, source + done, *at, left, self._room, len(self._out), result
             )
             if status and status != lib.CANSER_REFUSED:
                 raise_status(status)
@@ -129,3 +136,11 @@ class TextWriter(_Text):
                 why = text(lib.canser_refusal_text(result.refusal))
                 raise ValueError(f"frame {self._before + done} is none of classic CAN: {why}")
         self._before += len(frames)
+
+
+class TextWriter(_Text):
+    """Writes frames as lines of a file; see canser_text_write."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.lines = FrameWriter(lib.canser_text_write, self.state, _LINE_MOST).parts

@@ -1,8 +1,7 @@
 /* What canser.h promises of canser_recording_gather(): blocks that nothing is unusual about are
  * taken, all others are not, and no memory but the caller's is touched. Every array lies against
  * a page that may not be touched. POSIX only. */
-#define _DEFAULT_SOURCE /* MAP_ANONYMOUS, where -std=c11 hides it */
-#define _DARWIN_C_SOURCE
+#include "guarded.h"
 
 #include "canser.h"
 
@@ -10,8 +9,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/mman.h>
-#include <unistd.h>
 
 enum {
     LINE_MAX = 9000, /* bytes in a block: more than are folded at a time */
@@ -28,35 +25,6 @@ static void check(bool holds, const char *what, size_t round)
         passed++;
     else if (failed++ < 10)
         printf("FAILED %s, round %zu\n", what, round);
-}
-
-/* Random numbers, the same in every run: xorshift64*. */
-static uint64_t random_state = 0x9E3779B97F4A7C15;
-
-static uint64_t random_word(void)
-{
-    random_state ^= random_state >> 12;
-    random_state ^= random_state << 25;
-    random_state ^= random_state >> 27;
-    return random_state * 0x2545F4914F6CDD1D;
-}
-
-static size_t random_below(size_t bound)
-{
-    return (size_t)((random_word() >> 16) % bound);
-}
-
-/* The end of `size` bytes behind which a page may not be touched. */
-static uint8_t *guarded(size_t size)
-{
-    const size_t page = (size_t)sysconf(_SC_PAGESIZE), pages = (size + page - 1) / page * page;
-    uint8_t *const p = mmap(NULL, pages + page, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
-
-    if (p == MAP_FAILED || mprotect(p, pages, PROT_READ | PROT_WRITE)) {
-        perror("recording: mmap");
-        exit(2);
-    }
-    return p + pages;
 }
 
 /* The CRC32 bit by bit, as its definition has it. */

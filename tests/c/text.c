@@ -1,8 +1,7 @@
 /* What canser.h promises of lines of text: what is written reads back, wherever the text is cut;
  * damaged lines are never more than left to the caller; and no memory but the caller's is touched.
  * Every array lies against a page that may not be touched. POSIX only. */
-#define _DEFAULT_SOURCE /* MAP_ANONYMOUS, where -std=c11 hides it */
-#define _DARWIN_C_SOURCE
+#include "guarded.h"
 
 #include "canser.h"
 
@@ -10,8 +9,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/mman.h>
-#include <unistd.h>
 
 enum { FRAMES_MAX = 40, LINE_MOST = 160, TEXT_MAX = FRAMES_MAX * LINE_MOST };
 
@@ -23,35 +20,6 @@ static void check(bool holds, const char *what, const char *format, size_t round
         passed++;
     else if (failed++ < 10)
         printf("FAILED %s of %s, round %zu\n", what, format, round);
-}
-
-/* Random numbers, the same in every run: xorshift64*. */
-static uint64_t random_state = 0x9E3779B97F4A7C15;
-
-static uint64_t random_word(void)
-{
-    random_state ^= random_state >> 12;
-    random_state ^= random_state << 25;
-    random_state ^= random_state >> 27;
-    return random_state * 0x2545F4914F6CDD1D;
-}
-
-static size_t random_below(size_t bound)
-{
-    return (size_t)((random_word() >> 16) % bound);
-}
-
-/* The end of `size` bytes behind which a page may not be touched. */
-static uint8_t *guarded(size_t size)
-{
-    const size_t page = (size_t)sysconf(_SC_PAGESIZE), pages = (size + page - 1) / page * page;
-    uint8_t *const p = mmap(NULL, pages + page, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
-
-    if (p == MAP_FAILED || mprotect(p, pages, PROT_READ | PROT_WRITE)) {
-        perror("text: mmap");
-        exit(2);
-    }
-    return p + pages;
 }
 
 static uint8_t *text_end, *out_end, *channels_end, *directions_end;

@@ -10,4 +10,7 @@ import pytest
 
 LONG: Final = os.environ.get("CANSER_LONG", "") == "1"
 
+# Examples of Hypothesis for a test: few enough for `make test`, more in CI.
+EXAMPLES: Final = 120 if LONG else 80 if os.environ.get("CI") else 30
+
 takes_long: Final = pytest.mark.skipif(not LONG, reason="takes long: CANSER_LONG=1, as in .ci/run")

@@ -45,7 +45,7 @@ bool report_checks(void)
 static struct sigaction before_fault[2];
 
 /* A guard page was touched: say where the test is, then let the fault happen
- * again for whoever handled it before, the system or a sanitizer. */
+ * again for its former handler: that of the system or of a sanitizer. */
 static void on_fault(int number)
 {
     fprintf(stderr, "FAILED touched memory that is not its own: ");
