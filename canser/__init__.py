@@ -22,6 +22,12 @@ if TYPE_CHECKING:
     from canser._protocols import protocols as protocols
     from canser.adapters import AdapterConfig as AdapterConfig
     from canser.adapters import AdapterReport as AdapterReport
+    from canser.analysis.groups import IdGroups as IdGroups
+    from canser.analysis.groups import by_id as by_id
+    from canser.analysis.groups import changes as changes
+    from canser.analysis.ids import ID_STATS_DTYPE as ID_STATS_DTYPE
+    from canser.analysis.ids import IdStats as IdStats
+    from canser.analysis.ids import id_stats as id_stats
     from canser.analysis.summary import FileInfo as FileInfo
     from canser.analysis.summary import info as info
     from canser.codec.decoder import Decoder as Decoder
@@ -101,6 +107,16 @@ _HOMES: Final = {
     "canser.adapters": (
         "AdapterConfig",
         "AdapterReport",
+    ),
+    "canser.analysis.groups": (
+        "IdGroups",
+        "by_id",
+        "changes",
+    ),
+    "canser.analysis.ids": (
+        "ID_STATS_DTYPE",
+        "IdStats",
+        "id_stats",
     ),
     "canser.analysis.summary": (
         "FileInfo",

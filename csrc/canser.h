@@ -820,6 +820,140 @@ int canser_capture_write(canser_capture *self, const canser_frame *frames, const
 #define CANSER_BLOCK_MAX    16777216
 #define CANSER_RECORD_MAX   262144
 
+/* ---- For statistics: the runs of a bus's times, and frames by their ids. */
+
+/* The bins of long steps, 8 for each power of two; the last one has all steps from 2^61 ns on. */
+#define CANSER_RUN_BINS 288
+
+/* The first steps of a bus, of which the unit of its times is found. */
+#define CANSER_UNIT_STEPS 1024
+
+/* The steps of an id: the first CANSER_EARLY_STEPS are in its row, because noise makes many ids of
+ * a few frames; then a list of up to CANSER_STEP_LIST, then a histogram in as much memory. Bin i
+ * has the number of its steps at 2 * i, and behind it their sum. Its width is at most 1/128 of its
+ * steps, for steps from 1 us to 4.8 hours. */
+#define CANSER_EARLY_STEPS 8
+#define CANSER_STEP_BINS   4352
+#define CANSER_STEP_LIST   8704 /* 2 * CANSER_STEP_BINS */
+
+/* The number of a frame without a row, and its step, if a frame has none. */
+#define CANSER_NO_ROW  0xFFFFFFFF
+#define CANSER_NO_STEP -1
+
+/* Runs of times, in the order in which the frames came. A run ends at a jump of the clock: a step
+ * back by more than a second. It ends at a hole, too: a silence of more than a second, and of more
+ * than 20 times the step that 99.9 % of the steps before it do not exceed (before there are 10
+ * steps: an hour). If one of the next four times continues the run before, the run goes on with it,
+ * and those between were false. So a run is a stretch of time in which frames were recorded, and
+ * the result is the same wherever the frames are cut. All fields are private but the unit. It
+ * starts with all bytes zero. */
+typedef struct {
+    int64_t last;         /* the last time of the run */
+    int64_t last_before;  /* that of the run before the last jump */
+    uint64_t jump;        /* the last jump if it went forward, in nanoseconds; or 0 */
+    uint64_t unit;        /* the greatest common divisor of the first CANSER_UNIT_STEPS steps, in
+                           * nanoseconds; 0 if all were 0 */
+    uint32_t unit_steps;  /* steps that it was found of */
+    uint32_t run;         /* the number of the run, from 1 on; 0: there was no time */
+    uint32_t run_before;  /* that of the run before the last jump */
+    uint32_t last_number; /* the last number that was given */
+    uint32_t since;       /* times since the last jump, if they may still be false; or 0 */
+    uint64_t steps;       /* steps between neighbours of a run */
+    uint64_t long_steps;  /* of over 50 ms */
+    uint64_t bins[CANSER_RUN_BINS]; /* these by their length */
+} canser_runs;
+
+/* Statistics of the frames of one id, kind and channel. Steps are times in nanoseconds from one
+ * frame of the row to the next one. Only steps within a run count, and none back. */
+typedef struct {
+    uint32_t id;
+    uint8_t ext;
+    uint8_t rtr;     /* 0 if remote frames have no row of their own */
+    uint8_t channel; /* 255: not told */
+    uint8_t err;
+    uint8_t data[8];    /* of the last frame */
+    uint8_t head[8];    /* the first 8 bytes of the last frame, as none that is remote */
+    int64_t first;      /* the first known time, or CANSER_NO_TIME */
+    int64_t last;       /* the last known time, or CANSER_NO_TIME */
+    uint8_t moving[8];  /* bits of the data that were not the same in all frames */
+    uint64_t remote;    /* remote frames */
+    uint64_t changes;   /* frames whose data or dlc differ from those of the frame before */
+    uint64_t steps;     /* number of steps, which is that of frames with a step */
+    uint64_t breaks;    /* frames without a step */
+    uint64_t least;     /* the shortest step, if there are steps */
+    uint64_t spread;    /* what the longest step is longer by */
+    int64_t longest_at; /* the time at which the first of the longest steps began */
+    uint64_t sum;       /* of the steps until `base`; those behind it sum up to last - base */
+    int64_t base;
+    uint32_t run;    /* private: the run that `last` is in */
+    uint32_t list;   /* private: the list of the steps, and one more; 0: there is none yet */
+    uint32_t listed; /* steps in the row or the list; over CANSER_STEP_LIST: it is a histogram */
+    uint32_t dlcs;   /* bit i: there are frames with the dlc i */
+    uint64_t early[CANSER_EARLY_STEPS]; /* private: the first steps, if steps are kept */
+} canser_id;
+
+/* Frames by their ids, in the caller's memory. The caller sets the arrays and their sizes, may
+ * replace them by longer copies between two calls, and changes nothing else. It starts with all
+ * other bytes zero. */
+typedef struct {
+    canser_id *rows; /* in the order in which they appeared */
+    size_t row_cap;
+    size_t row_most; /* frames that would need more rows have none */
+    size_t row_count;
+    uint32_t *slots;  /* private: numbers of rows by their keys; zero at first */
+    size_t slot_cap;  /* a power of two, at least twice row_cap */
+    uint64_t **lists; /* pointers to CANSER_STEP_LIST elements each, zero at first; may change
+                       * places. NULL: keep no steps */
+    size_t list_cap;  /* one of them stays free */
+    size_t list_count;
+    uint64_t others;         /* frames without a row */
+    uint8_t is_remote_apart; /* 1: remote frames have rows of their own */
+    canser_runs runs;
+} canser_ids;
+
+/* Find the runs of times: run_of[i] is the number of the run that frames[i] is in, 0 if its time
+ * is not known or false. Times at the end of a call that a later call finds to be false keep their
+ * numbers. Returns CANSER_OK; CANSER_NULL or CANSER_MISALIGNED before anything was done. `frames`
+ * and `run_of` may be NULL if `frame_count` is 0. */
+int canser_runs_add(canser_runs *self, const canser_frame *frames, size_t frame_count,
+                    uint32_t *run_of);
+
+/* Add frames, in the order in which they came, with their channels (NULL: not told). `row_of` and
+ * `steps`, if they are not NULL, get the row of each frame, or CANSER_NO_ROW, and the step from
+ * the frame before it in the row, or CANSER_NO_STEP.
+ *
+ * Stops before a frame that needs a row or a list for which there is no room: then `*used` is less
+ * than `frame_count`, and the caller goes on with larger arrays. Returns CANSER_OK; CANSER_NULL,
+ * CANSER_MISALIGNED, or CANSER_RANGE for an unfit slot_cap before anything was done. */
+int canser_ids_add(canser_ids *self, const canser_frame *frames, size_t frame_count,
+                   const uint8_t *channels, uint32_t *row_of, int64_t *steps, size_t *used);
+
+/* Find the row of each frame, and count the frames of each row in `breaks`; nothing else of the
+ * rows is set but what tells the id. Stops and returns as canser_ids_add(), but that `row_most` has
+ * no effect. */
+int canser_ids_group(canser_ids *self, const canser_frame *frames, size_t frame_count,
+                     const uint8_t *channels, uint32_t *row_of, size_t *used);
+
+/* Copy the frames to `out` whose data or dlc differ from those of the frame before in their row,
+ * and the first one of each row. Stops as canser_ids_group(), and when `out` is full. `out` may be
+ * written to one frame past `*out_count`. `self` is used for nothing else. Returns as
+ * canser_ids_add(). */
+int canser_ids_changes(canser_ids *self, const canser_frame *frames, size_t frame_count,
+                       const uint8_t *channels, canser_frame *out, size_t out_cap, size_t *used,
+                       size_t *out_count);
+
+/* Fill the slots, which are all zero, from the rows: after the caller has made them more.
+ * Returns CANSER_OK, CANSER_NULL or CANSER_RANGE. */
+int canser_ids_fill_slots(canser_ids *self);
+
+/* Sort frames by their rows, stably: out[next[r]..ends[r]) gets the numbers of row r's frames; or,
+ * if `steps` is not NULL, their steps, of those that have one. Frames without a row are left out.
+ * next[r] becomes the place behind the last one. Returns CANSER_OK; CANSER_NULL; CANSER_RANGE if a
+ * place is not in `out`, or a row has more frames than places: then `out` holds a part. */
+int canser_order_rows(const uint32_t *row_of, const int64_t *steps, size_t frame_count,
+                      int64_t *next, const int64_t *ends, size_t row_count, int64_t *out,
+                      size_t out_cap);
+
 /* ---- For tables of other programs: frames as columns of Arrow. */
 
 /* Frames as columns, in memory of their own that never changes. The caller, and each array and

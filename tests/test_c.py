@@ -139,6 +139,15 @@ def test_objects_of_blf_sanitized(tmp_path: Path, debug_flags: list[str]) -> Non
     assert_all_pass(run(build_test(tmp_path, "blf", *debug_flags)))
 
 
+def test_frames_by_their_ids(tmp_path: Path) -> None:
+    assert_all_pass(run(build_test(tmp_path, "ids", *FAST), "2000" if LONG else "200"))
+
+
+@takes_long
+def test_frames_by_their_ids_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    assert_all_pass(run(build_test(tmp_path, "ids", *debug_flags)))
+
+
 def test_captures(tmp_path: Path) -> None:
     assert_all_pass(run(build_test(tmp_path, "pcap", *FAST), "20000" if LONG else "2000"))
 

@@ -53,7 +53,7 @@ def test_the_example_runs(folder: Path) -> None:
     names = {"canser": canser, "np": np, "Path": Path}
     (example,) = doctest.DocTestFinder().find(canser.info, "info", globs=names)
     assert doctest.DocTestRunner().run(example).failed == 0
-    assert (folder / "run.bin").stat().st_size == 33
+    assert (folder / "run.bin").stat().st_size == 121
 
 
 @pytest.mark.usefixtures("folder")
@@ -120,11 +120,11 @@ def test_an_id_has_share_rate_period_and_times() -> None:
     frames = [Frame(2, ts=0), *[Frame(3, ts=0)] * 100, *(Frame(1, ts=ts) for ts in late)]
     (one, three, two) = info_of(array(*frames)).ids
     assert (one["id"], two["id"], three["id"]) == (1, 2, 3)
-    assert (one["period_ns"], one["period_p99_ns"]) == (10 * MILLISECOND, 20 * MILLISECOND)
+    assert (one["period_ns"], one["interval_p99_ns"]) == (10 * MILLISECOND, 20 * MILLISECOND)
     assert (one["first_ns"], one["last_ns"], one["rate"]) == (0, SECOND, 100)
     assert two["share"] == 1 / 201
     assert np.isnan(two["period_ns"])
-    assert np.isnan(two["period_p99_ns"])
+    assert np.isnan(two["interval_p99_ns"])
 
 
 def test_error_frames_have_a_row_of_their_own() -> None:
@@ -132,7 +132,7 @@ def test_error_frames_have_a_row_of_their_own() -> None:
         Frame(4, ts=0), Frame(4, err=True, ts=3), Frame(4, err=True, ts=5), Frame(4, ts=7)
     )
     found = info_of(frames)
-    assert found.ids[["id", "err", "count", "period_ns"]].tolist() == [
+    assert found.ids[["id", "err", "count", "interval_median_ns"]].tolist() == [
         (4, False, 2, 7.0),
         (4, True, 2, 2.0),
     ]
@@ -171,7 +171,7 @@ def test_the_examples_of_the_help_are_what_is_printed(capfd: pytest.CaptureFixtu
     assert "".join(f"  {line}\n" for line in printed) in shown
     assert main([*car, "--json"]) == 0
     first = json.loads(capfd.readouterr().out)["ids"][0]
-    values = [first[name] for name in ("id", "count", "period_ns", "period_p99_ns")]
+    values = [first[name] for name in ("id", "count", "period_ns", "interval_p99_ns")]
     assert f"  {json.dumps(values, separators=(',', ':'))}\n" in shown
 
 
@@ -212,10 +212,10 @@ def test_json_tells_bytes_controls_fits_and_the_line() -> None:
 def test_json_has_null_for_what_is_not_known_and_whole_nanoseconds() -> None:
     unknown = info_of(timed(NO_TIME, NO_TIME)).as_dict()
     assert [unknown[key] for key in ("first_ns", "last_ns", "span_ns", "rate")] == [None] * 4
-    names = ("first_ns", "last_ns", "rate", "period_ns", "period_p99_ns")
+    names = ("first_ns", "last_ns", "rate", "period_ns", "interval_p99_ns")
     assert [unknown["ids"][0][key] for key in names] == [None] * 5
     (row,) = info_of(timed(0, 3, 7)).as_dict()["ids"]
-    assert (row["period_ns"], type(row["period_ns"])) == (4, int)
+    assert (row["interval_median_ns"], type(row["interval_median_ns"])) == (4, int)
     json.dumps(row)
 
 

@@ -22,7 +22,7 @@ from canser.monitoring.livetable import (
     exact,
     ordered,
 )
-from canser.timing.restarts import Clock
+from plain_ids import plain_runs
 from reference import Frame
 from samples import MILLISECOND as MS
 from samples import array
@@ -38,7 +38,7 @@ class Plain:
     count: int = 1
     changed: list[int] = dataclasses.field(default_factory=lambda: [NO_TIME] * 8)
     steps: list[int] = dataclasses.field(default_factory=list)
-    timed: tuple[int, int] | None = None  # the last known time, and its stretch
+    timed: tuple[int, int] = NO_TIME, 0  # the last time, and its run
 
     def add(self, frame: Frame) -> None:
         self.count += 1
@@ -49,10 +49,10 @@ class Plain:
                 self.changed[at] = max(self.changed[at], frame.ts)
         self.last = frame
 
-    def add_time(self, ts: int, stretch: int) -> None:
-        if self.timed is not None and self.timed[1] == stretch and ts > self.timed[0]:
+    def add_time(self, ts: int, run: int) -> None:
+        if self.timed[1] == run != 0 and ts >= self.timed[0]:
             self.steps.append(ts - self.timed[0])
-        self.timed = ts, stretch
+        self.timed = ts, run
 
     def pace(self) -> tuple[float, float, float]:
         """Return period, jitter and rate."""
@@ -61,8 +61,8 @@ class Plain:
             return math.nan, math.nan, math.nan
         period = statistics.median(steps)
         near = [step for step in steps if 0.5 * period <= step <= 1.5 * period]
-        jitter = statistics.pstdev(near) if len(near) > 1 else math.nan
-        return period, jitter, 1e9 * len(steps) / sum(steps)
+        jitter = max(near) - min(near) if len(near) > 1 else math.nan
+        return period, jitter, 1e9 * len(steps) / sum(steps) if sum(steps) else math.nan
 
 
 @st.composite
@@ -92,16 +92,14 @@ def traffic(draw: st.DrawFn) -> list[Frame]:
 @given(traffic(), st.lists(st.integers(0, 60)))
 def test_it_says_what_a_plain_table_says(frames: list[Frame], cuts: list[int]) -> None:
     plain: dict[Kind, Plain] = {}
-    clock = Clock()
-    for frame in frames:
+    runs = plain_runs([frame.ts for frame in frames])
+    for frame, run in zip(frames, runs, strict=True):
         kind = (frame.err, frame.ext, frame.id, frame.rtr)
         if kind in plain:
             plain[kind].add(frame)
         else:
             plain[kind] = Plain(frame)
-        if frame.ts != NO_TIME:
-            (stretch,) = clock.add(np.array([frame.ts]))
-            plain[kind].add_time(frame.ts, int(stretch))
+        plain[kind].add_time(frame.ts, run)
 
     table = LiveTable()
     for piece in np.split(array(*frames), sorted(min(cut, len(frames)) for cut in cuts)):
@@ -148,12 +146,13 @@ def test_a_steady_id_has_its_period_and_no_jitter() -> None:
     assert row["jitter"] < 1_000
 
 
-def test_jitter_is_the_standard_deviation_of_the_intervals() -> None:
-    late = np.random.default_rng(1).normal(0, 0.5 * MS, 100_000).astype(int)
-    row = one_row(sent(*(np.cumsum(10 * MS + late)).tolist()))
-    # The last 32 intervals count: so far their standard deviation may be off.
-    assert row["period"] == pytest.approx(10 * MS, rel=0.05)
-    assert row["jitter"] == pytest.approx(0.5 * MS, rel=0.3)
+def test_jitter_is_the_range_of_the_last_intervals_near_the_period() -> None:
+    late = np.random.default_rng(1).integers(-MS // 2, MS // 2, 100)
+    times = np.cumsum(10 * MS + late)
+    row = one_row(sent(*times.tolist()))
+    last = np.diff(times)[-32:]
+    assert row["period"] == np.median(last)
+    assert row["jitter"] == last.max() - last.min()
 
 
 def test_the_last_32_steps_count_however_they_come() -> None:
@@ -163,7 +162,7 @@ def test_the_last_32_steps_count_however_they_come() -> None:
         table.add(batch)
     (row,) = table.rows()
     assert row["period"] == 15 * MS
-    assert row["jitter"] == 5 * MS
+    assert row["jitter"] == 10 * MS
     assert row["rate"] == pytest.approx(1_000 / 15)
     table.add(sent(int(times[-1]) + 20 * MS))
     (row,) = table.rows()

@@ -1,7 +1,6 @@
 """What `canser.info` tells of frames: counts, spans, periods, and clocks that restart."""
 
 import dataclasses
-import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,7 @@ from hypothesis import strategies as st
 
 import canser
 import shared
-from canser.analysis.ids import IdStatistics
-from canser.analysis.steps import StepStatistics
+from canser.analysis.plain import to_plain
 from canser.analysis.summary import FileInfo
 from canser.simulation.traffic import damage, vehicle
 from reference import NO_TIME, Frame
@@ -29,14 +27,13 @@ def ids(found: FileInfo) -> dict[tuple[int, bool], Any]:
 
 def facts(found: FileInfo) -> Any:
     """Return all that is told, so that it can be compared."""
-    rows = [[None if value != value else value for value in row] for row in found.ids.tolist()]
-    return {**dataclasses.asdict(found), "ids": rows}
+    return {**dataclasses.asdict(found), "ids": to_plain(found.ids)}
 
 
-def period_ns(*ts: int) -> float | None:
-    """Return the period of an id with these times, None if it has none."""
-    period = float(ids(info_of(timed(*ts)))[0x100, False]["period_ns"])
-    return None if np.isnan(period) else period
+def median_ns(*ts: int) -> float | None:
+    """Return the median interval of an id with these times, None if it has none."""
+    median = float(ids(info_of(timed(*ts)))[0x100, False]["interval_median_ns"])
+    return None if np.isnan(median) else median
 
 
 def test_nothing_amounts_to_nothing() -> None:
@@ -104,43 +101,44 @@ def test_blocks_amount_to_what_all_do_at_once(frames: list[Frame], cuts: list[in
 # Spans and periods
 
 
-def test_the_period_is_the_median_of_the_steps() -> None:
-    assert period_ns(0, 2 * SECOND, 5 * SECOND, 6 * SECOND) == 2 * SECOND
-    assert period_ns(0, 2 * SECOND, 3 * SECOND) == 1.5 * SECOND
+def test_the_median_is_that_of_the_steps() -> None:
+    assert median_ns(0, 2 * SECOND, 5 * SECOND, 6 * SECOND) == 2 * SECOND
+    assert median_ns(0, 2 * SECOND, 3 * SECOND) == 1.5 * SECOND
 
 
 def test_a_lost_frame_does_not_change_the_period() -> None:
     times = [number * TEN_MS for number in range(100) if number % 9]
-    assert period_ns(*times) == TEN_MS
+    assert median_ns(*times) == TEN_MS
 
 
-def test_only_steps_forward_make_a_period() -> None:
-    assert period_ns(SECOND) is None
-    assert period_ns(SECOND, SECOND) is None
-    assert period_ns(SECOND, SECOND - 1) is None
-    assert period_ns(0, TEN_MS, TEN_MS, 0, TEN_MS) == TEN_MS
+def test_no_step_back_counts() -> None:
+    assert median_ns(SECOND) is None
+    assert median_ns(SECOND, SECOND) == 0
+    assert median_ns(SECOND, SECOND - 1) is None
+    assert median_ns(0, TEN_MS, TEN_MS, 0, TEN_MS) == TEN_MS
 
 
 def test_unknown_times_take_no_part() -> None:
     unknown = info_of(timed(NO_TIME, NO_TIME))
     assert unknown.span_ns is None
-    assert period_ns(NO_TIME, NO_TIME) is None
-    mixed = info_of(timed(NO_TIME, 0, NO_TIME, SECOND, NO_TIME))
-    assert mixed.span_ns == SECOND
-    assert ids(mixed)[0x100, False]["period_ns"] == SECOND
+    assert median_ns(NO_TIME, NO_TIME) is None
+    mixed = info_of(timed(NO_TIME, 0, NO_TIME, SECOND, 3 * SECOND, NO_TIME))
+    assert mixed.span_ns == 3 * SECOND
+    # Between 0 and 1 s there was a frame.
+    assert ids(mixed)[0x100, False]["interval_median_ns"] == 2 * SECOND
 
 
 def test_no_step_leads_across_a_restart() -> None:
     """The second id comes later behind the restart than in front of it."""
     run = [Frame(1, ts=number * TEN_MS) for number in range(1_000)]
-    late = [Frame(2, ts=run[-1].ts + SECOND), Frame(2, ts=run[-1].ts + 3 * SECOND)]
+    late = [Frame(2, ts=run[-1].ts + SECOND), Frame(2, ts=run[-1].ts + 2 * SECOND)]
     frames = [Frame(2, ts=0), *run, Frame(2, ts=run[-1].ts), *run, *late]
     total = info_of(array(*frames[:-1]))
     assert total.restarts == 1
-    assert ids(total)[1, False]["period_ns"] == TEN_MS
-    assert ids(total)[2, False]["period_ns"] == run[-1].ts
+    assert ids(total)[1, False]["interval_median_ns"] == TEN_MS
+    assert ids(total)[2, False]["interval_median_ns"] == run[-1].ts
     total = info_of(array(*frames))
-    assert ids(total)[2, False]["period_ns"] == (run[-1].ts + 2 * SECOND) / 2
+    assert ids(total)[2, False]["interval_median_ns"] == (run[-1].ts + SECOND) / 2
 
 
 @pytest.mark.parametrize("place", [1, 50, 99])
@@ -222,7 +220,7 @@ def test_a_wrap_of_the_device_clock_is_no_restart() -> None:
         "dlc_least",
         "dlc_most",
         "period_ns",
-        "period_p99_ns",
+        "interval_p99_ns",
     ]
     assert total.ids[names].tolist() == decoded(VEHICLE).ids[names].tolist()
     assert (total.restarts, total.span_ns) == (0, int(late["ts"][-1] - late["ts"][0]))
@@ -253,21 +251,3 @@ def test_real_captures_joined_have_the_same_rates_and_periods(
     assert ids(total)[arbitration_id, ext]["period_ns"] == pytest.approx(
         period_ms * MILLISECOND, abs=MILLISECOND / 2
     )
-
-
-def test_an_id_out_of_noise_keeps_little() -> None:
-    numbers = np.arange(20_000)
-    frames = np.zeros(len(numbers), canser.FRAME_DTYPE)
-    frames["id"], frames["ext"], frames["ts"] = numbers, True, numbers
-    statistics, steps = IdStatistics(remote_apart=False), StepStatistics()
-    tracemalloc.start()
-    try:
-        for _ in range(2):
-            batch = statistics.add(frames)
-            steps.add(np.repeat(batch.places, batch.step_counts), batch.steps)
-        del batch
-        kept, _ = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert len(statistics) == len(numbers)
-    assert kept <= 1_000 * len(numbers)

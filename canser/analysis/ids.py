@@ -1,274 +1,301 @@
-"""Statistics by id: number of frames, dlcs, times, and the steps of time between frames."""
+"""Statistics of each id: `canser.id_stats`, and `canser.IdStats` for a stream of frames."""
 
-from typing import Any, Final, NamedTuple, TypeVar
+from collections.abc import Iterable
+from itertools import repeat
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from canser._frames import NO_TIME, FrameArray, put_records_at
-from canser.timing.restarts import Clock
+from canser._checks import type_name
+from canser._core.ids import Rows, order_rows
+from canser._core.text import Codes
+from canser._frames import NO_TIME, FrameArray, check_codes, check_frames, copy_records
+from canser.analysis.periods import Intervals, find_pattern
 
-__all__ = ["ID_DTYPE", "Batch", "IdRows", "IdStatistics", "find_runs", "previous"]
+__all__ = ["ID_STATS_DTYPE", "IdStats", "IdStatsArray", "id_stats", "in_order"]
 
-# The rows of `IdStatistics`.
-IdRows = npt.NDArray[np.void]
+IdStatsArray = npt.NDArray[np.void]
 
-ID_DTYPE: Final[np.dtype[np.void]] = np.dtype(
+ID_STATS_DTYPE: Final[np.dtype[np.void]] = np.dtype(
     [
         ("id", np.uint32),
         ("ext", np.bool_),
-        ("rtr", np.bool_),  # False if remote frames are counted in the row of their id
+        ("rtr", np.bool_),
         ("err", np.bool_),
+        ("channel", np.uint8),
         ("dlc_least", np.uint8),
         ("dlc_most", np.uint8),
+        ("moving", np.uint8, (8,)),
         ("count", np.int64),
-        ("remote", np.int64),  # remote frames among them
-        ("first_ns", np.int64),  # the first and the last known time, or NO_TIME
+        ("changes", np.int64),
+        ("first_ns", np.int64),
         ("last_ns", np.int64),
+        ("interval_min_ns", np.float64),
+        ("interval_mean_ns", np.float64),
+        ("interval_median_ns", np.float64),
+        ("interval_p99_ns", np.float64),
+        ("interval_max_ns", np.float64),
+        ("longest_from_ns", np.int64),
+        ("pattern", "U8"),
+        ("period_ns", np.float64),
+        ("burst", np.float64),
+        ("jitter_ns", np.float64),
+        ("time_step_ns", np.int64),
+        ("missing", np.float64),
     ],
     align=True,
 )
 
-# Fields that a row counts. The other fields of ID_DTYPE are in the row's key.
-_COUNTED: Final = ("dlc_least", "dlc_most", "count", "remote", "first_ns", "last_ns")
 
-_ROW_DTYPE: Final = np.dtype(
-    [
-        *((name, ID_DTYPE[name]) for name in _COUNTED),
-        ("stretch", np.int64),  # the stretch of the clock that `last_ns` is in; 0 for none
-    ],
-    align=True,
-)
-
-# The bits of a key, from the lowest: rtr, the id (29 bits), ext, err. The order of the keys is that
-# of the rows. A standard id needs only the lowest 12 bits.
-_ID_BIT: Final = 1
-_ID_MASK: Final = 0x1FFF_FFFF
-_FLAG_BITS: Final = {"err": 31, "ext": 30, "rtr": 0}
-
-_Keys = npt.NDArray[np.uint32]
-_Places = npt.NDArray[np.intp]
-_Scalar = TypeVar("_Scalar", bound=np.generic)
-
-
-class Batch(NamedTuple):
-    """Frames that were added, sorted by their rows; within a row in the order of arrival.
-
-    Each row has a place, a number from 0 on in the order in which the rows appeared.
-    """
-
-    #: The frames that have a row, shape (n,).
-    frames: FrameArray
-    #: Index of the first frame of each row, shape (m,).
-    starts: _Places
-    #: Number of frames of each row, shape (m,).
-    counts: _Places
-    #: Place of each row, shape (m,).
-    places: _Places
-    #: Whether these are the first frames of the row, shape (m,).
-    new: npt.NDArray[np.bool_]
-    #: Steps of time from a frame to the next one of its row, in nanoseconds, sorted by row. Only
-    #: steps forward between known times, and none across a restart of the clock.
-    steps: npt.NDArray[np.uint64]
-    #: Number of steps of each row, shape (m,).
-    step_counts: _Places
-
-
-class IdStatistics:
-    """A row for each id, standard or extended. Ids of error frames have rows of their own.
-
-    Frames are added in batches, in the order of their arrival. The result does not depend on how
-    they are divided into batches.
+class IdStats:
+    """Statistics of each id, kind and channel of a stream of frames, in bounded memory.
 
     Parameters
     ----------
-    remote_apart : bool
-        Whether the remote frames of an id have a row of their own.
-    rows_most : int, optional
-        The most rows. Frames that would need another row are only counted, in `others`.
+    patterns : bool
+        Whether to find the median, the 99th percentile, and all from `pattern` on. True by default;
+        otherwise they are NaN, and `pattern` is "".
 
-    Attributes
-    ----------
-    frames : int
-        Frames that were added.
-    others : int
-        Frames that were added and have no row.
-    clock : Clock
-        The clock of all known times.
+    See Also
+    --------
+    id_stats : The same for an array, and what each field of a row means.
+
+    Notes
+    -----
+    The result is the same wherever the stream is cut into arrays. Up to 8,704 intervals of an id
+    are kept as they are. More are counted in a histogram, of 70 kB for each id. Then the median,
+    the 99th percentile, and all that is found from the intervals' distribution are within 1 %.
+
+    Examples
+    --------
+    >>> stats = canser.IdStats()
+    >>> for block in (canser.frames("123#01"), canser.frames("123#02", "124#")):
+    ...     stats.add(block)
+    >>> stats.rows()[["id", "count", "changes"]].tolist()
+    [(291, 2, 1), (292, 1, 0)]
     """
 
-    def __init__(self, *, remote_apart: bool, rows_most: int | None = None) -> None:
-        self._remote_apart, self._rows_most = remote_apart, rows_most
-        self.frames = self.others = 0
-        self.clock = Clock()
-        self._keys = np.zeros(0, np.uint32)  # sorted
-        self._places = np.zeros(0, np.intp)  # the places of these keys
-        self._rows = np.zeros(0, _ROW_DTYPE)  # by place, with room for more
+    def __init__(self, *, patterns: bool = True) -> None:
+        self._patterns = patterns
+        self._rows = Rows(remote_apart=True, keeps_steps=patterns)
 
     def __len__(self) -> int:
         """Return the number of rows."""
-        return len(self._keys)
+        return len(self._rows)
+
+    def __repr__(self) -> str:
+        return f"<canser.IdStats of {len(self):,} ids>"
+
+    def add(self, frames: FrameArray, channels: Codes | None = None) -> None:
+        """Add frames, in the order in which they came.
+
+        Parameters
+        ----------
+        frames : array of FRAME_DTYPE, shape (n,)
+            The frames, contiguous or not.
+        channels : array of uint8, shape (n,), optional
+            Their channels, from 0 on, and 255 for not told. By default none is told.
+
+        Raises
+        ------
+        TypeError
+            `frames` is no array of FRAME_DTYPE, or `channels` is no array of uint8.
+        ValueError
+            The shapes are not (n,).
+        """
+        self._rows.add(*contiguous(frames, channels))
 
     @property
-    def places(self) -> _Places:
-        """The places of all rows: standard ids first, then extended ones, then error frames."""
-        return self._places
+    def exact(self) -> bool:
+        """Whether all figures are exact: no id has more than 8,704 intervals."""
+        return not self._rows.has_histograms
 
-    @property
-    def counts(self) -> npt.NDArray[np.int64]:
-        """The frames of all rows, in the order of `places`."""
-        counts: npt.NDArray[np.int64] = self._rows["count"][self._places]
-        return counts
+    def rows(self) -> IdStatsArray:
+        """Return the rows of all ids so far.
 
-    def rows(self) -> IdRows:
-        """Return a copy of all rows in the order of `places`: ID_DTYPE, shape (m,)."""
-        rows, kept = np.zeros(len(self), ID_DTYPE), self._rows.take(self._places)
-        for name in _COUNTED:
-            rows[name] = kept[name]
-        rows["id"] = self._keys >> np.uint32(_ID_BIT) & np.uint32(_ID_MASK)
-        for name, bit in _FLAG_BITS.items():
-            rows[name] = self._keys >> np.uint32(bit) & np.uint32(1)
-        return rows
-
-    def add(self, frames: FrameArray) -> Batch:
-        """Add frames: array of FRAME_DTYPE, shape (n,)."""
-        self.frames += len(frames)
-        stretches = self._add_times(np.ascontiguousarray(frames["ts"]))
-        keys = self._make_keys(frames)
-        order = _stable_order(keys)
-        keys = keys[order]
-        starts, counts = find_runs(keys)
-        places = self._find(keys[starts])
-        if (places < 0).any():
-            placed = np.repeat(places >= 0, counts)
-            self.others += len(order) - int(placed.sum())
-            order, places = order[placed], places[places >= 0]
-            starts, counts = find_runs(keys[placed])
-        frames = frames.take(order)
-        rows = self._rows.take(places)
-        new = rows["count"] == 0
-        _count(rows, frames, starts, counts)
-        steps = _step(rows, frames["ts"], stretches[order], starts, counts)
-        put_records_at(self._rows, places, rows)
-        return Batch(frames, starts, counts, places, new, *steps)
-
-    def _add_times(self, ts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """Return the stretch of the clock that each time is in, 0 for a time that is not known."""
-        known = ts != NO_TIME
-        if known.all():
-            return self.clock.add(ts)
-        stretches = np.zeros(len(ts), np.int64)
-        stretches[known] = self.clock.add(ts[known])
-        return stretches
-
-    def _make_keys(self, frames: FrameArray) -> _Keys:
-        keys: _Keys = frames["id"] << np.uint32(_ID_BIT)
-        for name, bit in _FLAG_BITS.items():
-            if name != "rtr" or self._remote_apart:
-                keys |= frames[name].astype(np.uint32) << np.uint32(bit)
-        return keys
-
-    def _find(self, keys: _Keys) -> _Places:
-        """Return the places of distinct, sorted keys, and add new ones; -1 if there is no room."""
-        at = np.searchsorted(self._keys, keys)
-        found = at < len(self._keys)
-        found[found] = self._keys[at[found]] == keys[found]
-        if not found.all():
-            new = np.flatnonzero(~found)
-            if self._rows_most is not None:
-                new = new[: self._rows_most - len(self)]
-            end = len(self) + len(new)
-            places = np.arange(len(self), end)
-            self._keys = np.insert(self._keys, at[new], keys[new])
-            self._places = np.insert(self._places, at[new], places)
-            if end > len(self._rows):
-                self._grow(2 * end)
-            at = np.searchsorted(self._keys, keys)
-            found[new] = True
-        result = np.full(len(keys), -1, np.intp)
-        result[found] = self._places[at[found]]
-        return result
-
-    def _grow(self, size: int) -> None:
-        more = np.zeros(size - len(self._rows), _ROW_DTYPE)
-        more["dlc_least"] = np.iinfo(np.uint8).max
-        more["first_ns"] = more["last_ns"] = NO_TIME
-        self._rows = np.concatenate([self._rows, more])
+        Returns
+        -------
+        array of ID_STATS_DTYPE, shape (m,)
+            A new array: see `id_stats`.
+        """
+        if not self._patterns:
+            return _finish(self._rows, None)
+        return finish(self._rows)
 
 
-def _count(rows: IdRows, frames: FrameArray, starts: _Places, counts: _Places) -> None:
-    """Count frames, sorted by their rows, in `rows`."""
-    dlc = frames["dlc"]
-    rows["count"] += counts
-    rows["remote"] += np.add.reduceat(frames["rtr"], starts, dtype=np.int64)
-    rows["dlc_least"] = np.minimum(rows["dlc_least"], np.minimum.reduceat(dlc, starts))
-    rows["dlc_most"] = np.maximum(rows["dlc_most"], np.maximum.reduceat(dlc, starts))
+def id_stats(
+    frames: FrameArray | Iterable[FrameArray],
+    *,
+    channels: Codes | None = None,
+    patterns: bool = True,
+) -> IdStatsArray:
+    """Return statistics of each id, kind and channel: who sends, how often, and what changes.
 
+    Parameters
+    ----------
+    frames : array of FRAME_DTYPE, shape (n,), or iterable of such arrays
+        The frames in the order in which they came; or arrays of them, such as `canser.blocks(...)`
+        or `port.batches()`. Of arrays, memory is bounded: see `IdStats`.
+    channels : array of uint8, shape (n,), optional
+        The channels of an array's frames, from 0 on, and 255 for not told. By default none is told.
+    patterns : bool
+        Whether to find the median, the 99th percentile, and all from `pattern` on: they take five
+        times the time of the rest. True by default; otherwise they are NaN, and `pattern` is "".
 
-def _step(
-    rows: IdRows,
-    ts: npt.NDArray[np.int64],
-    stretches: npt.NDArray[np.int64],
-    starts: _Places,
-    counts: _Places,
-) -> tuple[npt.NDArray[np.uint64], _Places]:
-    """Return the steps of times that are sorted by their rows, and the number of each row's steps.
+    Returns
+    -------
+    array of records, shape (m,)
+        A row for each id, kind (data, remote, error) and channel. Standard ids come first, then
+        extended ones, then error frames. Fields that end in `_ns` are nanoseconds. What is not
+        known, or does not apply, is NaN in a field of floats, and `canser.NO_TIME` in `first_ns`,
+        `last_ns` and `longest_from_ns`. The fields are listed in the notes.
 
-    `stretches`: the stretch of the clock of each time, 0 if the time is not known.
+    Raises
+    ------
+    TypeError
+        `frames` is no array of FRAME_DTYPE and no iterable of them, or `channels` is no array of
+        uint8.
+    ValueError
+        The shapes are not (n,).
+
+    Notes
+    -----
+    An **interval** is the time from one frame of a row to the next one. Intervals with a jump of
+    the clock or a hole of the bus in them do not count. A jump is a step back of all times by more
+    than a second. A hole is a time without any frame of more than a second, and of more than 20
+    times the interval that 99.9 % of all frames before it keep. A single false time, as noise makes
+    it, is a jump as well.
+
+    - `id` (uint32), `ext`, `rtr`, `err` (bool), `channel` (uint8, 255 for not told): the row;
+    - `dlc_least`, `dlc_most` (uint8): the smallest and the largest dlc;
+    - `moving` (uint8, shape (8,)): the bits of the data that were not the same in all frames;
+    - `count` (int64): frames;
+    - `changes` (int64): frames whose data or dlc differ from those of the frame before;
+    - `first_ns`, `last_ns` (int64): the first and the last known time;
+    - `interval_min_ns`, `interval_mean_ns`, `interval_median_ns`, `interval_p99_ns`,
+      `interval_max_ns` (float64): of the intervals. The 99th percentile is the shortest interval
+      that at least 99 % of them do not exceed;
+    - `longest_from_ns` (int64): the time at which the longest interval began;
+    - `pattern` (str): "periodic", "bursts", "event", or "few" for less than 10 frames;
+    - `period_ns` (float64): of a periodic id the median of the intervals, of bursts the median time
+      from one burst to the next;
+    - `burst` (float64): frames in a burst, 1 for a periodic id;
+    - `jitter_ns` (float64): the 99th less the 1st percentile of the intervals between 0.5 and 1.5
+      periods;
+    - `time_step_ns` (int64): the step of the times: no jitter can be told below it;
+    - `missing` (float64): frames that are missing by the period: round(interval / period) - 1 of
+      each interval.
+
+    An id is **periodic** if at least 80 % of its intervals lie between 0.5 and 1.5 times their
+    median, and at most 1 % (or one) are longer than 5 times. Frames come in **bursts** if the long
+    intervals are at least 5 times the short ones, a burst has 1.5 frames or more, and the times
+    from burst to burst are periodic. All else is an **event**.
+
+    Source: the definitions are canser's own.
+
+    Examples
+    --------
+    >>> frames = canser.concat([canser.frames("123#01", "124#")] * 20)
+    >>> frames["ts"] = np.arange(40) * 5_000_000
+    >>> stats = canser.id_stats(frames)
+    >>> stats[["id", "count", "pattern"]].tolist()
+    [(291, 20, 'periodic'), (292, 20, 'periodic')]
+    >>> stats["period_ns"] / 1e6
+    array([10., 10.])
     """
-    known = stretches > 0
-    if not known.all():
-        counts = np.add.reduceat(known, starts, dtype=np.intp)
-        timed = np.flatnonzero(counts)
-        some = rows.take(timed)
-        counts = counts[timed]
-        ends = np.cumsum(counts)
-        steps, some_counts = _step(some, ts[known], stretches[known], ends - counts, counts)
-        put_records_at(rows, timed, some)
-        step_counts = np.zeros(len(rows), np.intp)
-        step_counts[timed] = some_counts
-        return steps, step_counts
-    before = previous(ts, rows["last_ns"], starts)
-    forward = stretches == previous(stretches, rows["stretch"], starts)
-    forward &= ts > before
-    rows["first_ns"] = np.where(rows["stretch"] == 0, ts[starts], rows["first_ns"])
-    lasts = starts + counts - 1
-    rows["last_ns"], rows["stretch"] = ts[lasts], stretches[lasts]
-    # Unsigned, because the longest step does not fit int64.
-    steps = (ts - before).view(np.uint64)[forward]
-    return steps, np.add.reduceat(forward, starts, dtype=np.intp)
+    if not isinstance(frames, np.ndarray):
+        if channels is not None:
+            raise TypeError("channels are those of one array of frames; use canser.IdStats")
+        if isinstance(frames, str | bytes) or not isinstance(frames, Iterable):
+            raise TypeError(
+                "frames must be an array of canser.FRAME_DTYPE, or arrays of them, "
+                f"not {type_name(frames)}"
+            )
+        stats = IdStats(patterns=patterns)
+        for block in frames:
+            stats.add(block)
+        return stats.rows()
+    frames, channels = contiguous(frames, channels)
+    rows = Rows(remote_apart=True)
+    if not patterns:
+        rows.add(frames, channels)
+        return _finish(rows, None)
+    row_of, steps = np.empty(len(frames), np.uint32), np.empty(len(frames), np.int64)
+    rows.add(frames, channels, row_of, steps)
+    counts = rows.rows["steps"]
+    ends = np.cumsum(counts)
+    starts = ends - counts
+    ordered = order_rows(row_of, starts, counts, steps)
+    places = zip(starts.tolist(), ends.tolist(), strict=True)
+    return _finish(rows, [_as_intervals(ordered[start:end]) for start, end in places])
 
 
-def _stable_order(keys: _Keys) -> _Places:
-    """Return `np.argsort(keys, kind="stable")`, 3 to 7 times as fast.
-
-    numpy has a radix sort for 16 bits, but not for 32 bits. So this sorts twice by 16 bits; once
-    if all frames have standard ids.
-    """
-    order = np.argsort(keys.astype(np.uint16), kind="stable")
-    high = (keys >> np.uint32(16)).astype(np.uint16)
-    if not len(high) or (high == high[0]).all():
-        return order
-    return order[np.argsort(high[order], kind="stable")]
+def contiguous(frames: FrameArray, channels: Codes | None) -> tuple[FrameArray, Codes | None]:
+    """Return checked frames and channels as C takes them."""
+    check_frames(frames, "frames")
+    if channels is not None:
+        check_codes(channels, "channels", frames)
+        channels = np.ascontiguousarray(channels)
+    if not (frames.flags.c_contiguous and frames.flags.aligned):
+        frames = copy_records(frames)
+    return frames, channels
 
 
-def find_runs(values: npt.NDArray[np.integer[Any]]) -> tuple[_Places, _Places]:
-    """Return the start and the length of each run of equal values."""
-    first = np.empty(len(values), np.bool_)
-    first[:1] = True
-    np.not_equal(values[1:], values[:-1], out=first[1:])
-    starts = np.flatnonzero(first)
-    counts = np.empty_like(starts)
-    np.subtract(starts[1:], starts[:-1], out=counts[:-1])
-    counts[-1:] = len(values) - starts[-1:]
-    return starts, counts
+def _as_intervals(steps: npt.NDArray[np.int64] | npt.NDArray[np.uint64]) -> Intervals:
+    """Return steps as intervals: a list, or the bins of a histogram."""
+    if steps.ndim == 1:
+        return Intervals(np.sort(steps).astype(np.float64))
+    counts, sums = steps[steps[:, 0] > 0].T
+    return Intervals(sums / counts, counts.astype(np.int64))
 
 
-def previous(
-    values: npt.NDArray[_Scalar], first: npt.NDArray[_Scalar], starts: _Places
-) -> npt.NDArray[_Scalar]:
-    """Return for each value the value before it; for those at `starts` the value in `first`."""
-    before = np.empty_like(values)
-    before[1:] = values[:-1]
-    before[starts] = first
-    return before
+def in_order(rows: npt.NDArray[np.void]) -> npt.NDArray[np.intp]:
+    """Return the order of rows: standard ids, extended ones, error frames, each by their id."""
+    return np.lexsort([rows[name] for name in ("channel", "rtr", "id", "ext", "err")])
+
+
+def finish(rows: Rows) -> IdStatsArray:
+    """Return the rows in their order, with what their kept steps tell."""
+    return _finish(rows, [_as_intervals(rows.steps(i)) for i in range(len(rows))])
+
+
+def _finish(rows: Rows, intervals: list[Intervals] | None) -> IdStatsArray:
+    """Return the rows in their order, with what their intervals tell."""
+    made = _counted(rows)
+    if intervals is not None:
+        _add_patterns(made, intervals, rows.unit_ns)
+    return made.take(in_order(made))
+
+
+def _counted(rows: Rows) -> IdStatsArray:
+    counted = rows.rows
+    made = np.zeros(len(counted), ID_STATS_DTYPE)
+    for name in ("id", "ext", "rtr", "err", "channel", "moving", "changes"):
+        made[name] = counted[name]
+    bits = counted["dlcs"][:, None] >> np.arange(32, dtype=np.uint32) & np.uint32(1)
+    made["dlc_least"], made["dlc_most"] = bits.argmax(1), 31 - bits[:, ::-1].argmax(1)
+    made["count"] = counted["steps"] + counted["breaks"]
+    made["first_ns"], made["last_ns"] = counted["first"], counted["last"]
+    made["time_step_ns"] = rows.unit_ns
+    for name in ID_STATS_DTYPE.names or ():
+        if ID_STATS_DTYPE[name] == np.float64:
+            made[name] = np.nan
+    steps = counted["steps"]
+    some = steps > 0
+    sums = counted["sum"] + (counted["last"] - counted["base"]).view(np.uint64)
+    made["interval_min_ns"][some] = counted["least"][some]
+    made["interval_max_ns"][some] = (counted["least"] + counted["spread"])[some]
+    made["interval_mean_ns"][some] = sums[some] / steps[some]
+    made["longest_from_ns"] = np.where(some, counted["longest_at"], NO_TIME)
+    return made
+
+
+def _add_patterns(made: IdStatsArray, intervals: list[Intervals], unit_ns: int) -> None:
+    some = [i for i, each in enumerate(intervals) if each.count]
+    made["interval_median_ns"][some] = [intervals[i].median for i in some]
+    made["interval_p99_ns"][some] = [intervals[i].at(0.99) for i in some]
+    patterns = map(find_pattern, intervals, made["count"].tolist(), repeat(unit_ns))
+    names = ("pattern", "period_ns", "burst", "jitter_ns", "missing")
+    for name, values in zip(names, zip(*patterns, strict=True), strict=False):
+        made[name] = values

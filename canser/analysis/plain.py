@@ -39,6 +39,8 @@ def to_plain(value: object) -> Any:
 
 def _field(name: str, value: Any) -> Any:
     """Return the value of a field of a record."""
+    if isinstance(value, np.ndarray):
+        return value.tobytes().hex().upper()
     if isinstance(value, float) and math.isnan(value):
         return None
     if name.endswith("_ns"):

@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from canser._core.ids import Rows
 from canser._core.stream import Control
-from canser._frames import FrameArray
+from canser._frames import NO_TIME, FrameArray
 from canser._input import Input
 from canser.analysis import report
-from canser.analysis.ids import ID_DTYPE, IdRows, IdStatistics
+from canser.analysis.ids import ID_STATS_DTYPE, IdStatsArray, contiguous, finish, in_order
 from canser.analysis.plain import to_plain
-from canser.analysis.steps import StepStatistics
 from canser.codec.decoder import Stats
 from canser.errors import NoProtocolError
 from canser.files.dates import date_text
@@ -32,19 +31,24 @@ from canser.files.reading import (
     listed,
 )
 from canser.recording.header import RecordingInfo
+from canser.timing.restarts import Clock
 
 __all__ = ["FileInfo", "info", "rank_protocols", "summarise"]
 
 # Bytes of a packed file by which its protocol is found. Of others it is found by all bytes.
 _SAMPLE_LEN: Final = 1 << 20
 
+# The fields of `canser.id_stats`, but for the two that tell rows of an id apart.
 _ROW_DTYPE: Final[np.dtype[np.void]] = np.dtype(
     [
-        *((name, ID_DTYPE[name]) for name in ID_DTYPE.names or () if name != "rtr"),
+        *(
+            (name, ID_STATS_DTYPE[name])
+            for name in ID_STATS_DTYPE.names or ()
+            if name not in ("rtr", "channel")
+        ),
+        ("remote", np.int64),
         ("share", np.float64),
         ("rate", np.float64),
-        ("period_ns", np.float64),
-        ("period_p99_ns", np.float64),
     ],
     align=True,
 )
@@ -61,20 +65,15 @@ class FileInfo:
     A step of the clock back by more than a second is a restart, or a false time that noise has
     made. Neither changes a span, a rate or a period.
 
-    The fields of a row of `ids`:
+    A row of `ids` has the fields of `canser.id_stats`, except `rtr` and `channel`: the remote
+    frames of an id are in its row, and so are its frames on all channels. Besides:
 
-    - `id` (uint32), `ext`, `err` (bool): the id, and whether it is extended, or that of an error
-      frame;
-    - `count`, `remote` (int64): frames, and remote frames among them;
-    - `dlc_least`, `dlc_most` (uint8): the smallest and the largest dlc;
-    - `first_ns`, `last_ns` (int64): the first and the last known time, `canser.NO_TIME` if there
-      is none;
+    - `remote` (int64): remote frames among the frames;
     - `share` (float64): share of all frames, 0 to 1;
-    - `rate` (float64): frames per second of `span_ns`, NaN if not known;
-    - `period_ns`, `period_p99_ns` (float64): median and 99th percentile of the time from one frame
-      of the id to the next, in nanoseconds, NaN if there are none. Steps back and steps across a
-      restart do not count. Exact for ids with up to 1,024 steps, and for a clock of milliseconds;
-      otherwise within 1/128.
+    - `rate` (float64): frames per second of `span_ns`, NaN if not known.
+
+    Memory is bounded, so the fields that come from the distribution of intervals are exact up to
+    8,704 intervals of an id, and within 1 % from there on: see `canser.IdStats`.
     """
 
     #: Frames of all kinds: `standard` + `extended`.
@@ -104,7 +103,7 @@ class FileInfo:
     rate: float | None
     #: A row for each id, the most frequent first, shape (n,); read-only. An id may have two or
     #: three rows: standard, extended, and of error frames. For the fields see the notes.
-    ids: IdRows
+    ids: IdStatsArray
     #: Name of the file; several names with commas between them.
     name: str = ""
     #: Each file with its name, its format, and its number of frames.
@@ -271,24 +270,24 @@ def info(
     Examples
     --------
     >>> from pathlib import Path
-    >>> frames = np.zeros(3, canser.FRAME_DTYPE)
-    >>> frames["id"], frames["ts"] = 0x123, [0, 10_000_000, 20_000_000]
+    >>> frames = np.zeros(11, canser.FRAME_DTYPE)
+    >>> frames["id"], frames["ts"] = 0x123, np.arange(11) * 10_000_000
     >>> _ = Path("run.bin").write_bytes(canser.encode(frames, "serial"))
     >>> found = canser.info("run.bin", "serial")
     >>> found.span_ns, found.ids["period_ns"] / 1e6
-    (20000000, array([10.]))
+    (100000000, array([10.]))
     >>> print(found)
-    frames     3, 150.0/s
-    kinds      3 standard
+    frames     11, 110.0/s
+    kinds      11 standard
     ids        1
-    time       0.020 s, from 0.000 to 0.020
-    dlc        0: 3
-    bytes      33 bytes = 33 framed + 0 control + 0 skipped + 0 pending
+    time       0.100 s, from 0.000 to 0.100
+    dlc        0: 11
+    bytes      121 bytes = 121 framed + 0 control + 0 skipped + 0 pending
     resyncs    0
     controls   0
     <BLANKLINE>
           id     frames   share     rate/s   period ms  dlc
-         123          3 100.00%     150.00       10.00  0
+         123         11 100.00%     110.00       10.00  0
     """
     options = checked_options(
         format,
@@ -352,20 +351,22 @@ def rank_protocols(source: Source) -> list[Fit]:
 
 def summarise(blocks: Iterable[FrameArray]) -> FileInfo:
     """Return what is in frames. The fields about files keep their defaults."""
-    statistics, steps = IdStatistics(remote_apart=False), StepStatistics()
-    dlc = np.zeros(9, np.int64)
-    for frames in blocks:
-        batch = statistics.add(frames)
-        steps.add(np.repeat(batch.places, batch.step_counts), batch.steps)
+    rows, clock = Rows(remote_apart=False, keeps_steps=True), Clock()
+    dlc, count = np.zeros(9, np.int64), 0
+    for block in blocks:
+        frames, _ = contiguous(block, None)
+        rows.add(frames)
+        times = frames["ts"]
+        clock.add(times[times != NO_TIME])
         dlc += np.bincount(frames["dlc"], minlength=9)[:9]
-    clock = statistics.clock
+        count += len(frames)
     span = clock.span_ns
     seconds = span / 1e9 if span else None
-    ids = _complete(statistics, steps, seconds)
+    ids = _complete(rows, count, seconds)
     extended = int(ids["count"] @ ids["ext"])
     return FileInfo(
-        frames=statistics.frames,
-        standard=statistics.frames - extended,
+        frames=count,
+        standard=count - extended,
         extended=extended,
         remote=int(ids["remote"].sum()),
         errors=int(ids["count"] @ ids["err"]),
@@ -375,24 +376,21 @@ def summarise(blocks: Iterable[FrameArray]) -> FileInfo:
         span_ns=span,
         restarts=clock.restarts,
         false_times=clock.false_times,
-        rate=None if seconds is None else statistics.frames / seconds,
+        rate=None if seconds is None else count / seconds,
         ids=ids,
     )
 
 
-def _complete(
-    statistics: IdStatistics, steps: StepStatistics, seconds: float | None
-) -> npt.NDArray[np.void]:
+def _complete(rows: Rows, count: int, seconds: float | None) -> IdStatsArray:
     """Return the rows of all ids, the most frequent first."""
-    counted = statistics.rows()
+    counted = finish(rows)
     ids = np.zeros(len(counted), _ROW_DTYPE)
-    for name in ID_DTYPE.names or ():
-        if name != "rtr":
+    for name in _ROW_DTYPE.names or ():
+        if name in (ID_STATS_DTYPE.names or ()):
             ids[name] = counted[name]
-    medians, p99s = steps.median_and_p99(len(statistics))
-    ids["share"] = ids["count"] / statistics.frames
+    ids["remote"] = rows.rows["remote"][in_order(rows.rows)]
+    ids["share"] = ids["count"] / count if count else 0
     ids["rate"] = np.nan if seconds is None else ids["count"] / seconds
-    ids["period_ns"], ids["period_p99_ns"] = medians[statistics.places], p99s[statistics.places]
     ids = ids.take(np.argsort(-ids["count"], kind="stable"))
     ids.flags.writeable = False
     return ids

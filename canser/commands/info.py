@@ -47,7 +47,7 @@ def add(commands: Commands) -> None:
         "       141      9,030  10.94%     100.02       10.00  8\n"
         "  ids left out: 33; frames of them: 64,498\n\n"
         "  $ canser info car.bin -p serial --json |\n"
-        "        jq -c '.ids[0] | [.id, .count, .period_ns, .period_p99_ns]'\n"
+        "        jq -c '.ids[0] | [.id, .count, .period_ns, .interval_p99_ns]'\n"
         "  [320,9030,10000000,12000000]",
         run=run,
         parents=[source_arguments()],

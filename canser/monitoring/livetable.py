@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, match, put_records_at, with_mask
-from canser.analysis.ids import Batch, IdStatistics, previous
+from canser.analysis.batches import Batch, IdBatches, previous
 
 __all__ = ["COLUMNS", "ROW_DTYPE", "LiveTable", "RowArray", "choose", "exact", "ordered"]
 
@@ -58,11 +58,12 @@ class LiveTable:
     A remote frame or an error frame has a row of its own, not that of the data frame with the
     same id: its period differs, and it has no data that could change.
 
-    A step is the time from one frame of a row to the next. `period` is the median of the last 32
-    steps, known from the second frame on. `jitter` is the standard deviation of those between 0.5
-    and 1.5 periods, known from two such steps on. `rate` is the number of the last 32 steps
-    divided by their sum; it differs from 1 / `period` if frames come in bursts. Unknown times,
-    steps back, and steps across a restart of the clock are left out.
+    A step is the time from one frame of a row to the next, as in `canser.id_stats`: none leads
+    across a jump of the clock or a hole of the bus. `period` is the median of the last 32 steps,
+    known from the second frame on. `jitter` is the 99th less the 1st percentile of those between
+    0.5 and 1.5 periods, which of 32 is the longest less the shortest; it is known from two such
+    steps on. `rate` is the number of the last 32 steps divided by their sum; it differs from
+    1 / `period` if frames come in bursts.
     """
 
     def __init__(self) -> None:
@@ -70,10 +71,10 @@ class LiveTable:
         self._empty()
 
     def _empty(self) -> None:
-        self._ids = IdStatistics(remote_apart=True, rows_most=_IDS_MOST)
+        self._ids = IdBatches(_IDS_MOST)
         # One element for each row, with room for more rows.
         self._rows = np.zeros(0, ROW_DTYPE)
-        # The last steps of each row in nanoseconds, 0 for none, and the number of all its steps.
+        # The last steps of each row in nanoseconds, NaN for none, and the number of all its steps.
         self._steps = np.zeros((0, _STEPS))
         self._step_counts = np.zeros(0, np.int64)
 
@@ -145,28 +146,26 @@ class LiveTable:
         more = np.zeros(size - len(self._rows), ROW_DTYPE)
         more["changed"] = NO_TIME
         self._rows = np.concatenate([self._rows, more])
-        self._steps = np.vstack([self._steps, np.zeros((len(more), _STEPS))])
+        self._steps = np.vstack([self._steps, np.full((len(more), _STEPS), np.nan)])
         self._step_counts = np.append(self._step_counts, np.zeros(len(more), np.int64))
 
 
 def _set_pace(rows: RowArray, steps: npt.NDArray[np.float64]) -> None:
-    """Set period, jitter and rate of rows from their last steps, shape (n, 32), 0 for none."""
-    counts = np.count_nonzero(steps, axis=1)
-    steps = np.sort(steps, axis=1)  # zeros come first
-    first = _STEPS - np.maximum(counts, 1)
-    middle = first + (counts - 1) // 2, first + counts // 2  # both are the same if the count is odd
+    """Set period, jitter and rate of rows from their last steps, shape (n, 32), NaN for none."""
+    counts = np.count_nonzero(~np.isnan(steps), axis=1)
+    steps = np.sort(steps, axis=1)  # NaN comes last
+    middle = np.maximum(counts - 1, 0) // 2, counts // 2  # both are the same if the count is odd
     row = np.arange(len(rows))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        period = np.where(counts > 0, (steps[row, middle[0]] + steps[row, middle[1]]) / 2, np.nan)
-        least, most = (share * period[:, None] for share in (_STEP_LEAST, _STEP_MOST))
-        near = (steps >= least) & (steps <= most)
-        of = near.sum(axis=1)
-        off = np.where(near, steps - period[:, None], 0)
-        off -= np.where(near, (off.sum(axis=1) / of)[:, None], 0)
-        jitter = np.sqrt((off * off).sum(axis=1) / of)
-        rows["rate"] = np.where(counts > 0, 1e9 * counts / steps.sum(axis=1), np.nan)
+    period = (steps[row, middle[0]] + steps[row, np.minimum(middle[1], _STEPS - 1)]) / 2
+    least, most = (share * period[:, None] for share in (_STEP_LEAST, _STEP_MOST))
+    near = (steps >= least) & (steps <= most)
+    # 1 % of 32 is less than one: the percentiles are the shortest and the longest.
+    longest = np.where(near, steps, -np.inf).max(axis=1)
+    shortest = np.where(near, steps, np.inf).min(axis=1)
+    spans = np.nansum(steps, axis=1)
+    rows["rate"] = np.where(spans > 0, 1e9 * counts / np.where(spans > 0, spans, 1), np.nan)
     rows["period"] = period
-    rows["jitter"] = np.where(of > 1, jitter, np.nan)
+    rows["jitter"] = np.where(near.sum(axis=1) > 1, longest - shortest, np.nan)
 
 
 def ordered(rows: RowArray, by: str, *, descending: bool = False) -> RowArray:
