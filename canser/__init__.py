@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from canser._protocols import protocols as protocols
     from canser.adapters import AdapterConfig as AdapterConfig
     from canser.adapters import AdapterReport as AdapterReport
+    from canser.analysis.compare import Comparison as Comparison
+    from canser.analysis.compare import compare as compare
+    from canser.analysis.dropouts import DROPOUT_DTYPE as DROPOUT_DTYPE
+    from canser.analysis.dropouts import dropouts as dropouts
     from canser.analysis.groups import IdGroups as IdGroups
     from canser.analysis.groups import by_id as by_id
     from canser.analysis.groups import changes as changes
@@ -107,6 +111,14 @@ _HOMES: Final = {
     "canser.adapters": (
         "AdapterConfig",
         "AdapterReport",
+    ),
+    "canser.analysis.compare": (
+        "Comparison",
+        "compare",
+    ),
+    "canser.analysis.dropouts": (
+        "DROPOUT_DTYPE",
+        "dropouts",
     ),
     "canser.analysis.groups": (
         "IdGroups",

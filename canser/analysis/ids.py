@@ -119,9 +119,7 @@ class IdStats:
         array of ID_STATS_DTYPE, shape (m,)
             A new array: see `id_stats`.
         """
-        if not self._patterns:
-            return _finish(self._rows, None)
-        return finish(self._rows)
+        return finish(self._rows) if self._patterns else _sorted(_counted(self._rows))
 
 
 def id_stats(
@@ -217,10 +215,22 @@ def id_stats(
             stats.add(block)
         return stats.rows()
     frames, channels = contiguous(frames, channels)
-    rows = Rows(remote_apart=True)
     if not patterns:
+        rows = Rows(remote_apart=True)
         rows.add(frames, channels)
-        return _finish(rows, None)
+        return _sorted(_counted(rows))
+    return _sorted(stats_and_steps(frames, channels)[0])
+
+
+def stats_and_steps(
+    frames: FrameArray, channels: Codes | None
+) -> tuple[IdStatsArray, npt.NDArray[np.uint32], npt.NDArray[np.int64]]:
+    """Return statistics of checked frames, and the row and the interval of each frame.
+
+    The rows are in the order in which they appeared. An interval is that from the frame before in
+    the row, -1 if there is none.
+    """
+    rows = Rows(remote_apart=True)
     row_of, steps = np.empty(len(frames), np.uint32), np.empty(len(frames), np.int64)
     rows.add(frames, channels, row_of, steps)
     counts = rows.rows["steps"]
@@ -228,7 +238,9 @@ def id_stats(
     starts = ends - counts
     ordered = order_rows(row_of, starts, counts, steps)
     places = zip(starts.tolist(), ends.tolist(), strict=True)
-    return _finish(rows, [_as_intervals(ordered[start:end]) for start, end in places])
+    stats = _counted(rows)
+    _add_patterns(stats, [_as_intervals(ordered[start:end]) for start, end in places], rows.unit_ns)
+    return stats, row_of, steps
 
 
 def contiguous(frames: FrameArray, channels: Codes | None) -> tuple[FrameArray, Codes | None]:
@@ -257,14 +269,12 @@ def in_order(rows: npt.NDArray[np.void]) -> npt.NDArray[np.intp]:
 
 def finish(rows: Rows) -> IdStatsArray:
     """Return the rows in their order, with what their kept steps tell."""
-    return _finish(rows, [_as_intervals(rows.steps(i)) for i in range(len(rows))])
-
-
-def _finish(rows: Rows, intervals: list[Intervals] | None) -> IdStatsArray:
-    """Return the rows in their order, with what their intervals tell."""
     made = _counted(rows)
-    if intervals is not None:
-        _add_patterns(made, intervals, rows.unit_ns)
+    _add_patterns(made, [_as_intervals(rows.steps(i)) for i in range(len(rows))], rows.unit_ns)
+    return _sorted(made)
+
+
+def _sorted(made: IdStatsArray) -> IdStatsArray:
     return made.take(in_order(made))
 
 

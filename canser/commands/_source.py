@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import BinaryIO, Final
 
 import numpy as np
@@ -45,15 +46,20 @@ __all__ = [
 ]
 
 
-def source_arguments() -> argparse.ArgumentParser:
-    """Return the arguments that name a file of frames or raw bytes, IN."""
+def source_arguments(*, two: bool = False) -> argparse.ArgumentParser:
+    """Return the arguments that name a file of frames or raw bytes, IN; or two of them, A and B."""
     source = Parser(add_help=False)
-    source.add_argument(
-        "sources",
-        metavar="IN",
-        nargs="+",
-        help="file to read, or - for standard input; several files are one stream, in this order",
-    )
+    if two:
+        source.add_argument("a", metavar="A", help="file to read, or - for standard input")
+        source.add_argument("b", metavar="B", help="file to compare it with")
+    else:
+        source.add_argument(
+            "sources",
+            metavar="IN",
+            nargs="+",
+            help="file to read, or - for standard input; several files are one stream, in this "
+            "order",
+        )
     source.add_argument(
         "-p",
         "--protocol",
@@ -226,12 +232,14 @@ def read_options(args: argparse.Namespace) -> ReadOptions:
     )
 
 
-def open_source(args: argparse.Namespace, progress: Progress | None = None) -> Blocks:
-    """Open IN as the arguments say."""
+def open_source(
+    args: argparse.Namespace, progress: Progress | None = None, *, raw_only: bool = False
+) -> Blocks:
+    """Open IN as the arguments say; `raw_only`: only raw bytes need the protocol."""
     with options_named():
         return Blocks(
             opened(args.sources),
-            read_options(args),
+            replace(read_options(args), raw_only=raw_only),
             format=args.source_format,
             progress=progress,
             sort=args.sort,
