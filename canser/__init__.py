@@ -32,8 +32,14 @@ if TYPE_CHECKING:
     from canser.analysis.ids import ID_STATS_DTYPE as ID_STATS_DTYPE
     from canser.analysis.ids import IdStats as IdStats
     from canser.analysis.ids import id_stats as id_stats
+    from canser.analysis.load import LOAD_DTYPE as LOAD_DTYPE
+    from canser.analysis.load import BusLoad as BusLoad
+    from canser.analysis.load import bus_load as bus_load
     from canser.analysis.summary import FileInfo as FileInfo
     from canser.analysis.summary import info as info
+    from canser.analysis.times import between as between
+    from canser.analysis.times import merge as merge
+    from canser.codec.bits import frame_bits as frame_bits
     from canser.codec.decoder import Decoder as Decoder
     from canser.codec.decoder import Stats as Stats
     from canser.codec.decoder import decode as decode
@@ -130,10 +136,20 @@ _HOMES: Final = {
         "IdStats",
         "id_stats",
     ),
+    "canser.analysis.load": (
+        "LOAD_DTYPE",
+        "BusLoad",
+        "bus_load",
+    ),
     "canser.analysis.summary": (
         "FileInfo",
         "info",
     ),
+    "canser.analysis.times": (
+        "between",
+        "merge",
+    ),
+    "canser.codec.bits": ("frame_bits",),
     "canser.codec.decoder": (
         "Decoder",
         "Stats",

@@ -820,6 +820,33 @@ int canser_capture_write(canser_capture *self, const canser_frame *frames, const
 #define CANSER_BLOCK_MAX    16777216
 #define CANSER_RECORD_MAX   262144
 
+/* ---- For the load of a bus: the lengths of frames in bits. */
+
+/* The longest frame on the bus, in bits. */
+#define CANSER_FRAME_BITS_MAX 160
+
+/* Tables for canser_frame_bits(), in the caller's memory, filled once by canser_bits_init() and
+ * only read from then on. Private. */
+typedef struct {
+    uint16_t crc[13][256];    /* the CRC of a byte with so many zero bytes behind it */
+    uint16_t stuff[10 * 256]; /* by the state in front of a byte and the byte: the state behind
+                               * it, times 256, plus the stuff bits in it */
+    uint16_t start[2][32];    /* the same for the first bits of a frame: see bits.c */
+} canser_bits;
+
+/* Fill the tables. Returns CANSER_OK or CANSER_NULL. */
+int canser_bits_init(canser_bits *self);
+
+/* Set bits[i] to the length of frames[i] on a bus of classic CAN, in bits: from its start to the
+ * third bit of the pause behind it, with the stuff bits, which depend on its CRC. At least 47, at
+ * most CANSER_FRAME_BITS_MAX. A dlc of over 8 counts as 8 bytes of data, and a remote frame has
+ * none. An error frame has no length that is known: 0.
+ *
+ * Returns CANSER_OK; CANSER_NULL or CANSER_MISALIGNED before anything was written. `frames` and
+ * `bits` may be NULL if `frame_count` is 0. */
+int canser_frame_bits(const canser_bits *self, const canser_frame *frames, size_t frame_count,
+                      uint8_t *bits);
+
 /* ---- For statistics: the runs of a bus's times, and frames by their ids. */
 
 /* The bins of long steps, 8 for each power of two; the last one has all steps from 2^61 ns on. */

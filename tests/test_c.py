@@ -148,6 +148,15 @@ def test_frames_by_their_ids_sanitized(tmp_path: Path, debug_flags: list[str]) -
     assert_all_pass(run(build_test(tmp_path, "ids", *debug_flags)))
 
 
+def test_lengths_on_the_bus(tmp_path: Path) -> None:
+    assert_all_pass(run(build_test(tmp_path, "bits", *FAST), "1000000"))
+
+
+@takes_long
+def test_lengths_on_the_bus_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    assert_all_pass(run(build_test(tmp_path, "bits", *debug_flags)))
+
+
 def test_captures(tmp_path: Path) -> None:
     assert_all_pass(run(build_test(tmp_path, "pcap", *FAST), "20000" if LONG else "2000"))
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import canser
-from calls import BAD_CALL, GOOD, run
+from calls import BAD_CALL, GOOD, assert_fails, run
 from canser._frames import FrameArray
 from canser.simulation.traffic import vehicle
 from reference import Frame
@@ -175,18 +175,48 @@ def test_stats_show_each_id(tmp_path: Path, logs: list[str]) -> None:
     done = run(tmp_path, "stats", logs[0])
     lines = done.stdout.decode().splitlines()
     assert done.returncode == GOOD
-    assert lines[:2] == ["ids        2", "times      in steps of 10.000 ms"]
-    assert lines[4].split() == ["123", "periodic", "50", "10.000", "0.000", "10.000", "0", "0"]
+    assert lines[:3] == [
+        "ids        2",
+        "times      in steps of 10.000 ms",
+        "bus load   25.0 kbit/s, at most 25.0 in 100 ms",
+    ]
+    assert lines[5].split() == ["123", "periodic", "50", "10.000", "0.000", "10.000", "0", "0"]
     found = json.loads(run(tmp_path, "stats", logs[0], "--json").stdout)
     assert found["exact"] is True
     assert [row["period_ns"] for row in found["ids"]] == [TEN_MS, TEN_MS]
     assert found["ids"][0].keys() == {*(canser.ID_STATS_DTYPE.names or ())}
 
 
+def test_stats_tell_the_load_of_the_bus(tmp_path: Path, logs: list[str]) -> None:
+    done = run(tmp_path, "stats", logs[0], "-b", "100000", "--window", "50ms")
+    assert "bus load   25.0% of 100,000 bit/s, at most 25.0% in 50 ms" in done.stdout.decode()
+    assert done.stderr == b""
+    wrong = run(tmp_path, "stats", logs[0], "-b", "10000")
+    assert (wrong.returncode, wrong.stderr.decode()) == (
+        GOOD,
+        "the bus load is up to 250%: the bit rate 10,000 may be wrong\n",
+    )
+    found = json.loads(run(tmp_path, "stats", logs[0], "-b", "100000", "--json").stdout)
+    assert found["bitrate"] == 100_000
+    assert found["loads"][0].keys() == {*(canser.LOAD_DTYPE.names or ())}
+    (tmp_path / "two.log").write_text("(0.000000) can0 123#\n(0.010000) can1 123#\n")
+    two = run(tmp_path, "stats", "two.log", "-b", "100000")
+    assert b"that of 2 channels together; choose one with --bus" in two.stderr
+
+
+@pytest.mark.parametrize("options", [["-b", "0"], ["--window", "1"], ["--window", "0s"]])
+def test_a_wrong_option_is_one_line(tmp_path: Path, logs: list[str], options: list[str]) -> None:
+    done = run(tmp_path, "stats", logs[0], *options)
+    if options == ["--window", "1"]:
+        assert done.returncode == GOOD
+    else:
+        assert_fails(done, BAD_CALL, options[0].strip("-")[-1])
+
+
 def test_stats_name_the_channel_if_there_are_several(tmp_path: Path) -> None:
     (tmp_path / "two.log").write_text("(0.000000) can0 123#\n(0.010000) vcan1 123#\n")
     lines = run(tmp_path, "stats", "two.log").stdout.decode().splitlines()
-    assert [line.split()[:2] for line in lines[4:]] == [["can0", "123"], ["vcan1", "123"]]
+    assert [line.split()[:2] for line in lines[5:]] == [["can0", "123"], ["vcan1", "123"]]
 
 
 def test_statistics_of_a_file_are_those_of_its_frames(tmp_path: Path) -> None:

@@ -14,10 +14,10 @@ import canser
 import canser.live.pacing
 import shared  # noqa: F401 - Hypothesis' settings
 from canser._frames import FrameArray
-from canser.live.meter import longest_bits
-from canser.live.pacing import AHEAD_FRAMES, Pacer
+from canser.live.pacing import AHEAD_FRAMES, Pacer, longest_bits
 from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import vehicle
+from plain_bits import length_on_the_bus
 from reference import Frame
 from samples import array
 
@@ -69,30 +69,6 @@ def test_frames_that_carry_no_data() -> None:
     assert longest_bits(array()) == []
 
 
-def bits_of(value: int, count: int) -> list[int]:
-    return [value >> place & 1 for place in range(count - 1, -1, -1)]
-
-
-def length_on_the_bus(frame: Frame) -> int:
-    """Return the bits of a data frame by the rules of CAN 2.0, with the pause behind it."""
-    head = bits_of(frame.id, 29 if frame.ext else 11)
-    head = [*head[:11], 1, 1, *head[11:], 0, 0, 0] if frame.ext else [*head, 0, 0, 0]
-    bits = [0, *head, *bits_of(frame.dlc, 4)]
-    for byte in frame.data[: frame.dlc]:
-        bits += bits_of(byte, 8)
-    crc = 0
-    for bit in bits:
-        crc = crc << 1 ^ (0x4599 if crc >> 14 & 1 ^ bit else 0)
-        crc &= 0x7FFF
-    bits += bits_of(crc, 15)
-    stuffed: list[int] = []
-    for bit in bits:
-        stuffed.append(bit)
-        if len(stuffed) >= 5 and len(set(stuffed[-5:])) == 1:
-            stuffed.append(1 - bit)
-    return len(stuffed) + 1 + 2 + 7 + 3
-
-
 @given(
     st.booleans(),
     st.sampled_from([0, 0x7FF, 0x555, 0x78F, 0x1FFFFFFF, 0x1E1E1E1E]) | st.integers(0, 0x7FF),
@@ -102,8 +78,7 @@ def test_no_frame_is_longer(ext: bool, number: int, data: bytes) -> None:
     number &= 0x1FFFFFFF if ext else 0x7FF
     frame = Frame(number, ext=ext, dlc=len(data), data=data.ljust(8, b"\0"))
     (longest,) = longest_bits(array(frame))
-    shortest = canser.live.meter.bus_bits(array(frame))
-    assert shortest <= length_on_the_bus(frame) <= longest
+    assert length_on_the_bus(frame) <= longest
 
 
 # The pacer

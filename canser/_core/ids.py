@@ -18,6 +18,7 @@ __all__ = [
     "STEP_BINS",
     "STEP_LIST",
     "Rows",
+    "Runs",
     "order_rows",
     "runs_of",
 ]
@@ -245,21 +246,36 @@ def order_rows(
     return ordered
 
 
-def runs_of(frames: FrameArray) -> RowNumbers:
-    """Return the run that each frame is in, 0 if its time is not known or false.
+class Runs:
+    """The runs of a bus's times; see canser_runs.
 
-    A run is a stretch of time without a jump of the clock and without a hole; see canser_runs.
+    A run is a stretch of time without a jump of the clock and without a hole.
     """
-    run_of = np.empty(len(frames), np.uint32)
-    status = lib.canser_runs_add(
-        ffi.new("canser_runs *"),
-        input_frames(frames),
-        len(frames),
-        ffi.from_buffer("uint32_t[]", run_of),
-    )
-    if status:
-        raise_status(status)
-    return run_of
+
+    def __init__(self) -> None:
+        self._runs = ffi.new("canser_runs *")
+
+    @property
+    def unit_ns(self) -> int:
+        """The greatest common divisor of the first steps, in nanoseconds."""
+        return int(self._runs.unit)
+
+    def add(self, frames: FrameArray) -> RowNumbers:
+        """Return the run that each of contiguous frames is in, 0 if its time is unknown or false.
+
+        Frames at the end that a later call finds to be false have numbers above that of their run.
+        """
+        run_of = np.empty(len(frames), np.uint32)
+        run_at = ffi.from_buffer("uint32_t[]", run_of)
+        status = lib.canser_runs_add(self._runs, input_frames(frames), len(frames), run_at)
+        if status:
+            raise_status(status)
+        return run_of
+
+
+def runs_of(frames: FrameArray) -> RowNumbers:
+    """Return the run that each of contiguous frames is in, 0 if its time is unknown or false."""
+    return Runs().add(frames)
 
 
 def _as_bytes(rows: npt.NDArray[np.void]) -> npt.NDArray[np.uint8]:

@@ -60,7 +60,7 @@ def port_arguments() -> argparse.ArgumentParser:
         "--bitrate",
         type=whole(least=1),
         help="bit rate of the CAN bus in bit/s; the adapter is configured to it if the protocol "
-        "allows that, and a bus load is computed from it, without stuff bits (default: the "
+        "allows that, and a bus load is computed from it (default: the "
         "adapter is not configured)",
     )
     group.add_argument(

@@ -18,7 +18,7 @@ def add(commands: Commands) -> None:
         "compare",
         "  canser compare good.log bad.log\n"
         "  canser compare monday.bin tuesday.bin -p serial\n"
-        "  canser compare a.pcapng b.pcapng --json | jq '.ids[] | select(.found_in != \"both\")'",
+        "  canser compare a.pcapng b.pcapng --json | jq '.bits[] | [.id, .byte, .bit]'",
         run=run,
         parents=[source_arguments(two=True)],
     )

@@ -5,8 +5,8 @@ With --json each line on standard output is an object with a `type` and a `time`
     status   the present counters, once a second:
              elapsed: seconds since the port was opened
              frames, bytes: so far; bytes == framed + control + skipped + pending
-             frames_per_s, bytes_per_s, bus_load: of the last second; the load is 0 to 1, a lower
-               bound as it leaves stuff bits out, and null without --bitrate
+             frames_per_s, bytes_per_s, bus_load: of the last second; the load is 0 to 1, by the
+               exact bits of the frames, and null without --bitrate
              resyncs: runs of skipped bytes
              lost: bytes that came while the ring was full
              gaps, gaps_unknown: places where bytes are missing, and those of unknown length

@@ -11,7 +11,9 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
-__all__ = ["AHEAD_FRAMES", "Pacer"]
+from canser._frames import FrameArray
+
+__all__ = ["AHEAD_FRAMES", "Pacer", "longest_bits"]
 
 #: The most frames that are given to the adapter, and that the bus may not have sent yet.
 AHEAD_FRAMES: Final = 16
@@ -19,6 +21,51 @@ AHEAD_FRAMES: Final = 16
 # A sender waits until this many frames may go out. A thread that wakes for each frame would take
 # more processor time; one that waits until all 16 may go out would leave the bus idle.
 _BATCH_FRAMES: Final = AHEAD_FRAMES // 2
+
+
+# Bits of a frame without its data, with the pause of three bits behind it (CAN 2.0, 3.1): start 1,
+# identifier and control bits 18 or 38, CRC 16, acknowledgement 2, end 7, pause 3.
+_STANDARD: Final = 47
+_EXTENDED: Final = 67
+
+# The most bits of an error frame: flags of several nodes that overlap, 12, their delimiter of 8,
+# and the pause of 3 (CAN 2.0, 3.1.3).
+_ERROR_LONGEST: Final = 23
+
+# Bits of a frame without its data among which stuff bits may lie: from the start to the CRC. A
+# stuff bit follows five equal bits, and counts as the first of the next five (CAN 2.0, 5). So the
+# first stuff bit comes behind five bits at the earliest, each further one behind four more: among
+# n bits there are at most (n - 1) // 4.
+_STANDARD_STUFFED: Final = 34
+_EXTENDED_STUFFED: Final = 54
+
+
+def _longest(byte_count: int, bits: int, stuffed: int) -> int:
+    data = 8 * byte_count
+    return bits + data + (stuffed + data - 1) // 4
+
+
+# The most bits of a frame, by whether it is extended, and its number of data bytes.
+_LONGEST: Final = {
+    ext: [_longest(byte_count, bits, stuffed) for byte_count in range(9)]
+    for ext, bits, stuffed in (
+        (False, _STANDARD, _STANDARD_STUFFED),
+        (True, _EXTENDED, _EXTENDED_STUFFED),
+    )
+}
+
+
+def longest_bits(frames: FrameArray) -> list[int]:
+    """Return the most bits that each frame can take on the bus, with stuff bits.
+
+    A list, as this is for a few frames at a time.
+    """
+    # `frames.tolist()` would take 1 microsecond for the data of each frame.
+    fields = [frames[name].tolist() for name in ("ext", "rtr", "err", "dlc")]
+    return [
+        _ERROR_LONGEST if err else _LONGEST[ext][0 if rtr else min(dlc, 8)]
+        for ext, rtr, err, dlc in zip(*fields, strict=True)
+    ]
 
 
 class Pacer:

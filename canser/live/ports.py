@@ -33,8 +33,7 @@ from canser.errors import (
 )
 from canser.live.config import LineConfig, adapter_config
 from canser.live.line import Line, open_line
-from canser.live.meter import longest_bits
-from canser.live.pacing import AHEAD_FRAMES, Pacer
+from canser.live.pacing import AHEAD_FRAMES, Pacer, longest_bits
 from canser.live.reader import NO_MORE, LineReader
 from canser.live.recorder import Recorder
 from canser.live.recording import (
