@@ -1,5 +1,7 @@
 """The load of the bus: each frame is in its window, wherever the stream is cut."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -25,14 +27,15 @@ def loaded(frames: FrameArray, *cuts: int, **options: int | str) -> canser.BusLo
 
 @given(st.one_of(FEW_IDS, FRAMES), st.lists(st.integers(0, 60)))
 def test_it_is_the_same_wherever_the_stream_is_cut(frames: list[Frame], cuts: list[int]) -> None:
-    # Times of over a century would make too many windows.
-    kept = array(*(f for f in frames if f.ts == NO_TIME or abs(f.ts) < 100 * SECOND))
+    kept = array(*frames)
     whole, parts = loaded(kept), loaded(kept, *cuts)
     assert_same(whole.rows(), parts.rows())
     assert whole.untimed == parts.untimed
     rows = whole.rows()
     assert rows["frames"].sum() + whole.untimed == len(kept)
     assert (rows["window_ns"] > 0).all()
+    # A row more for each run that begins or ends in the middle of one.
+    assert len(rows) <= 8_000 + 2 * len(kept)
 
 
 @given(FEW_IDS)
@@ -95,6 +98,53 @@ def test_there_are_at_most_8000_rows() -> None:
     assert len(canser.bus_load(frames, window="100ms")) == 5 * 7_200 - 4
 
 
+HOUR = 3_600 * SECOND
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        [number * HOUR for number in range(24 * 365)],
+        [0, *(SECOND << bits for bits in range(33))],
+        [0, HOUR, 20 * HOUR, 400 * HOUR],
+    ],
+    ids=["a frame an hour", "longer and longer silences", "some silences"],
+)
+def test_a_bus_that_is_silent_for_hours_takes_little_memory(times: list[int]) -> None:
+    frames = np.zeros(len(times), canser.FRAME_DTYPE)
+    frames["ts"] = times
+    load = canser.BusLoad()
+    tracemalloc.start()
+    load.add(frames)
+    rows = load.rows()
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(rows) <= 8_001 + len(times)
+    assert rows["frames"].sum() == len(times)
+    assert peak < 8 << 20
+
+
+def test_too_many_rows_of_a_window_are_refused() -> None:
+    frames = timed(*(number * HOUR for number in range(24)))
+    with pytest.raises(
+        ValueError,
+        match=r"a window of 0\.001 s makes 82,800,001 rows, and 10,000,000 are the most; "
+        r"give 0\.009 s or more",
+    ):
+        canser.bus_load(frames, window="1ms")
+    assert canser.bus_load(frames, window="1s")["frames"].sum() == 24
+
+
+@given(st.lists(st.integers(-(2**62), 2**62 - 1), min_size=1), st.integers(2**50, 2**62))
+def test_a_window_begins_at_or_before_its_frames(times: list[int], window: int) -> None:
+    """Also where the span of the times does not fit into 64 bits."""
+    rows = canser.bus_load(timed(*sorted(times)), window=window)
+    starts = [int(start) for start in rows["start_ns"]]
+    assert starts == sorted(set(starts))
+    for start, count in zip(starts, rows["frames"].tolist(), strict=True):
+        assert sum(start <= time < start + window for time in times) == count
+
+
 def test_a_window_has_ten_steps_of_the_times() -> None:
     frames = timed(*(number * 20 * MS for number in range(100)))
     assert set(canser.bus_load(frames)["window_ns"].tolist()) == {200 * MS}
@@ -113,6 +163,7 @@ def test_a_window_is_given_as_text_or_nanoseconds(window: str | int) -> None:
         ({"bitrate": 5e5}, TypeError, "bitrate must be an int in bit/s, not float"),
         ({"window": 0.1}, TypeError, "window must be a text"),
         ({"window": 1_000}, ValueError, "window is 1000; give 1ms or more"),
+        ({"window": 10**30}, ValueError, "window is 10{30}; give 8640000000000000000 ns or less"),
         ({"window": "1 week"}, ValueError, "cannot read the time '1 week'"),
     ],
 )

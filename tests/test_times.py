@@ -64,6 +64,18 @@ def test_what_is_no_time_is_refused(time: Any, error: type[Exception]) -> None:
         canser.between(timed(0), None, time)
 
 
+@pytest.mark.parametrize(
+    "time", [np.datetime64("3000-01-01"), np.datetime64("1500"), np.timedelta64(10**15, "h")]
+)
+def test_a_time_of_numpy_beyond_64_bits_is_refused(time: Any) -> None:
+    with pytest.raises(ValueError, match=r"start is .*, which is not within 292 years of 1970"):
+        canser.between(timed(0), time)
+
+
+def test_a_time_of_numpy_in_fine_units_is_cut_to_nanoseconds() -> None:
+    assert len(canser.between(timed(0, 1, 2), np.timedelta64(1_500, "ps"))) == 2
+
+
 @given(st.lists(FRAMES, max_size=3))
 def test_arrays_are_merged_by_time(parts: list[list[Frame]]) -> None:
     kept = [[frame for frame in part if NO_TIME < frame.ts < 10**17] for part in parts]

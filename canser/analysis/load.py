@@ -9,7 +9,7 @@ import numpy.typing as npt
 from canser._checks import type_name
 from canser._core.ids import Runs
 from canser._frames import FrameArray
-from canser._quantities import parse_seconds
+from canser._quantities import LONGEST_S, parse_seconds
 from canser.analysis.ids import contiguous
 from canser.codec.bits import frame_bits
 
@@ -38,8 +38,13 @@ _ROWS_MOST: Final = 8_000
 # The fewest steps of the times in a window. Otherwise frames fall into the wrong one.
 _STEPS_LEAST: Final = 10
 
-# The shortest window that can be asked for.
+# The most rows of a window that is asked for: 560 MB. Otherwise a bus that is silent for hours, and
+# a window of milliseconds, would fill the memory with empty rows.
+_ROWS_LIMIT: Final = 10_000_000
+
+# The shortest and the longest window that can be asked for.
 _SHORTEST_NS: Final = 1_000_000
+_LONGEST_NS: Final = LONGEST_S * 10**9
 
 # The highest bit rate of classic CAN.
 BITRATE_MOST: Final = 1_000_000
@@ -48,42 +53,64 @@ _Counts = npt.NDArray[np.int64]
 
 
 class _Stretch:
-    """The frames of one run, counted by windows.
+    """The frames of one run, counted by windows; only windows that have frames take memory.
 
     `origin`: the time from which windows are counted. `last`: the time of the last frame.
     """
 
     def __init__(self, run: int, origin: int) -> None:
         self.run, self.origin, self.last = run, origin, origin
-        self.first = 0  # the number of the first window
-        self._counts = np.zeros((0, 3), np.int64)  # with room for more
-        self._used = 0
+        self.frames = 0
+        self._windows = np.zeros(0, np.int64)
+        self._counts = np.zeros((0, 3), np.int64)
+        self._parts: list[tuple[_Counts, _Counts]] = []  # counted since then
+        self._parts_len = 0
 
-    def add(self, windows: _Counts, values: npt.NDArray[np.float64]) -> None:
+    def add(self, ts: _Counts, values: npt.NDArray[np.float64], window_ns: int) -> None:
         """Count frames; `values`: a row for each field that is summed up."""
-        first, end = int(windows.min()), int(windows.max()) + 1
-        if not self._used:
-            self.first = first
-        self._make_room(max(self.first - first, 0), end - min(self.first, first))
-        windows = windows - self.first
-        for column, weights in enumerate(values):
-            sums = np.bincount(windows, weights, self._used)
-            self._counts[: self._used, column] += sums.astype(np.int64)
+        # As (ts - origin) // window_ns, whose difference may not fit into 64 bits.
+        windows = ts // window_ns - self.origin // window_ns
+        windows -= ts % window_ns < self.origin % window_ns
+        part = _sum_up(windows, values)
+        self.frames += len(ts)
+        self.last = int(ts[-1])
+        self._parts.append(part)
+        self._parts_len += len(part[0])
+        # Otherwise each of many short arrays would cost a copy of all windows.
+        if self._parts_len > len(self._windows):
+            self.join()
+
+    def join(self) -> tuple[_Counts, _Counts]:
+        """Return the windows that have frames, rising, and their frames, errors and bits."""
+        if self._parts:
+            windows = np.concatenate([self._windows, *(part[0] for part in self._parts)])
+            counts = np.concatenate([self._counts, *(part[1] for part in self._parts)])
+            self._windows, self._counts = _sum_up(windows, counts.T)
+            self._parts, self._parts_len = [], 0
+        return self._windows, self._counts
 
     @property
-    def counts(self) -> _Counts:
-        """Frames, errors and bits of each window, shape (n, 3)."""
-        return self._counts[: self._used]
+    def span(self) -> int:
+        """The number of windows from the first one to the last one."""
+        windows, _ = self.join()
+        return int(windows[-1]) - int(windows[0]) + 1
 
-    def _make_room(self, before: int, count: int) -> None:
-        """Make room for `before` windows in front of the first one, and for `count` from there."""
-        count = max(count, self._used + before)
-        if before or count > len(self._counts):
-            counts = np.zeros((max(count, 2 * len(self._counts)), 3), np.int64)
-            counts[before : before + self._used] = self.counts
-            self._counts = counts
-        self.first -= before
-        self._used = count
+
+def _sum_up(windows: _Counts, values: npt.NDArray[Any]) -> tuple[_Counts, _Counts]:
+    """Return the windows that are there, rising, and the sums of each, shape (n, 3)."""
+    first = int(windows.min())
+    span = int(windows.max()) - first + 1
+    if span <= 4 * len(windows):
+        places = windows - first
+        there = np.flatnonzero(np.bincount(places, minlength=span))
+        found = there + first
+    else:
+        found, places = np.unique(windows, return_inverse=True)
+        there = np.arange(len(found))
+        span = len(found)
+    # Sums of bits are exact: float64 holds whole numbers up to 2^53.
+    sums = [np.bincount(places, row, span)[there] for row in values]
+    return found, np.stack(sums, axis=1).astype(np.int64)
 
 
 class BusLoad:
@@ -102,7 +129,7 @@ class BusLoad:
     TypeError
         `bitrate` is no int, or `window` is neither text nor int.
     ValueError
-        `bitrate` is not 1 to 1,000,000, or `window` is shorter than 1 ms or cannot be read.
+        `bitrate` is not 1 to 1,000,000, or `window` is not 1 ms to 100,000 days or cannot be read.
 
     See Also
     --------
@@ -110,8 +137,8 @@ class BusLoad:
 
     Notes
     -----
-    The result is the same wherever the stream is cut into arrays. Memory grows by 24 bytes for
-    each 100 ms, or each window, of the stream.
+    The result is the same wherever the stream is cut into arrays. Memory grows by 32 to 64 bytes
+    for each 100 ms, or each window, that has frames.
 
     Examples
     --------
@@ -167,14 +194,12 @@ class BusLoad:
         stretches = self._stretches
         while stretches and stretches[-1].run > run:
             # That run goes on, so the ones since then were false times.
-            self.untimed += int(stretches.pop().counts[:, 0].sum())
+            self.untimed += stretches.pop().frames
         if not stretches or stretches[-1].run != run:
             # At a jump of the clock back, windows are counted anew.
             goes_on = stretches and ts[0] >= stretches[-1].last
             stretches.append(_Stretch(run, stretches[-1].origin if goes_on else int(ts[0])))
-        stretch = stretches[-1]
-        stretch.add((ts - stretch.origin) // self._window_ns, values)
-        stretch.last = int(ts[-1])
+        stretches[-1].add(ts, values, self._window_ns)
 
     def rows(self) -> npt.NDArray[np.void]:
         """Return the rows of all windows so far.
@@ -183,19 +208,33 @@ class BusLoad:
         -------
         array of LOAD_DTYPE, shape (m,)
             A new array: see `bus_load`.
+
+        Raises
+        ------
+        ValueError
+            `window` would make over 10,000,000 rows.
         """
-        count = sum(len(stretch.counts) for stretch in self._stretches)
-        steps = -(-_STEPS_LEAST * self._runs.unit_ns // self._window_ns)
-        times = max(-(-count // _ROWS_MOST), steps, 1) if self._asked_ns is None else 1
+        count = sum(stretch.span for stretch in self._stretches)
+        times = 1
+        if self._asked_ns is None:
+            steps = -(-_STEPS_LEAST * self._runs.unit_ns // self._window_ns)
+            times = max(-(-count // _ROWS_MOST), steps, 1)
+        elif count > _ROWS_LIMIT:
+            least_s = -(-count // _ROWS_LIMIT) * self._window_ns / 1e9
+            raise ValueError(
+                f"a window of {self._window_ns / 1e9:g} s makes {count:,} rows, and "
+                f"{_ROWS_LIMIT:,} are the most; give {least_s:g} s or more, or no window"
+            )
         made = [self._rows_of(stretch, times) for stretch in self._stretches]
         return _join(made) if made else np.zeros(0, LOAD_DTYPE)
 
     def _rows_of(self, stretch: _Stretch, times: int) -> npt.NDArray[np.void]:
         """Return the rows of a stretch; `times`: how many windows become one row."""
-        windows = stretch.first + np.arange(len(stretch.counts))
-        first = int(windows[0]) // times
-        counts = np.zeros((int(windows[-1]) // times - first + 1, 3), np.int64)
-        np.add.at(counts, windows // times - first, stretch.counts)
+        windows, values = stretch.join()
+        numbers = windows // times
+        first = int(numbers[0])
+        counts = np.zeros((int(numbers[-1]) - first + 1, 3), np.int64)
+        np.add.at(counts, numbers - first, values)
         rows = np.zeros(len(counts), LOAD_DTYPE)
         rows["window_ns"] = times * self._window_ns
         rows["start_ns"] = stretch.origin + (first + np.arange(len(rows))) * rows["window_ns"]
@@ -251,8 +290,8 @@ def bus_load(
         `frames` is no array of FRAME_DTYPE, `bitrate` is no int, or `window` is neither text nor
         int.
     ValueError
-        `bitrate` is not 1 to 1,000,000, `window` is shorter than 1 ms or cannot be read, or the
-        shape is not (n,).
+        `bitrate` is not 1 to 1,000,000, `window` is not 1 ms to 100,000 days, cannot be read, or
+        would make over 10,000,000 rows, or the shape is not (n,).
 
     Notes
     -----
@@ -294,4 +333,6 @@ def _check_window(window: Any) -> int:
     length = round(parse_seconds(window) * 1e9) if isinstance(window, str) else int(window)
     if length < _SHORTEST_NS:
         raise ValueError(f"window is {window}; give 1ms or more, such as 100ms")
+    if length > _LONGEST_NS:
+        raise ValueError(f"window is {window}; give {_LONGEST_NS} ns or less, such as 100ms")
     return length

@@ -1,7 +1,7 @@
 """Frames by their times: `canser.between` and `canser.merge`."""
 
 import datetime as dt
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from canser.files.dates import date_ns
 from canser.tables.table import is_dated
 
 __all__ = ["between", "merge"]
+
+# Units of numpy's times that are finer than those of frames.
+_FINER: Final = ("ps", "fs", "as")
 
 Time = int | np.datetime64 | np.timedelta64 | dt.datetime | dt.timedelta
 
@@ -24,7 +27,8 @@ def between(frames: FrameArray, start: Time | None = None, end: Time | None = No
         The frames in any order, contiguous or not.
     start : int, datetime64, timedelta64, datetime or timedelta, optional
         The first time that is taken: nanoseconds, or a date of numpy or Python. A datetime without
-        a zone is local time. By default there is no first one.
+        a zone is local time; a time of numpy is cut to nanoseconds. By default there is no first
+        one.
     end : int, datetime64, timedelta64, datetime or timedelta, optional
         The first time that is no longer taken. By default there is none.
 
@@ -38,7 +42,7 @@ def between(frames: FrameArray, start: Time | None = None, end: Time | None = No
     TypeError
         `frames` is no array of FRAME_DTYPE, or a time is of another type.
     ValueError
-        The shape is not (n,), or a time is NaT.
+        The shape is not (n,), or a time is NaT, or a time of numpy is not within 292 years of 1970.
 
     Examples
     --------
@@ -113,7 +117,13 @@ def _to_ns(time: Any, name: str) -> int:
         if np.isnat(time):
             raise ValueError(f"{name} is NaT, which is no time; leave it out")
         unit = "datetime64[ns]" if isinstance(time, np.datetime64) else "timedelta64[ns]"
-        return int(time.astype(unit).astype(np.int64))
+        exact = time.astype(unit)
+        # numpy cuts a time that does not fit into 64 bits of nanoseconds, in silence.
+        if np.datetime_data(time.dtype)[0] not in _FINER and exact.astype(time.dtype) != time:
+            raise ValueError(
+                f"{name} is {time}, which is not within 292 years of 1970; leave it out"
+            )
+        return int(exact.astype(np.int64))
     if isinstance(time, dt.datetime):
         return date_ns(time, None)
     if isinstance(time, dt.timedelta):
