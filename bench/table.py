@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-import bus_bits
+import bus_numbers
 import canser
 import data
 import growth
@@ -416,8 +416,8 @@ def rows(count: int, size: int, rounds: int, folder: Path) -> Iterator[Row]:
         if protocol == ONE:
             yield from convert(stream, size, folder, max(rounds // 4, 1))
         yield from memory_rows(protocol, size // 2)
-    for row in bus_bits.rows(max(rounds // 2, 1), folder, min(count, bus_bits.COUNT)):
-        yield Row(*row)
+    for number in bus_numbers.rows(count, max(rounds // 2, 1), folder):
+        yield Row(*number)
     for row in log_files.rows(max(rounds // 4, 1), folder, max(count // 4, 50_000)):
         yield Row(*row)
 

@@ -87,6 +87,14 @@ if TYPE_CHECKING:
     from canser.simulation.faults import Faults as Faults
     from canser.simulation.simulator import Simulator as Simulator
     from canser.simulation.simulator import SimulatorReport as SimulatorReport
+    from canser.tables.convert import from_arrow as from_arrow
+    from canser.tables.convert import from_pandas as from_pandas
+    from canser.tables.convert import from_polars as from_polars
+    from canser.tables.convert import from_xarray as from_xarray
+    from canser.tables.convert import to_arrow as to_arrow
+    from canser.tables.convert import to_pandas as to_pandas
+    from canser.tables.convert import to_polars as to_polars
+    from canser.tables.convert import to_xarray as to_xarray
     from canser.tables.table import Table as Table
     from canser.tables.table import table as table
     from canser.timing.clocks import ClockEstimate as ClockEstimate
@@ -212,6 +220,16 @@ _HOMES: Final = {
     "canser.simulation.simulator": (
         "Simulator",
         "SimulatorReport",
+    ),
+    "canser.tables.convert": (
+        "from_arrow",
+        "from_pandas",
+        "from_polars",
+        "from_xarray",
+        "to_arrow",
+        "to_pandas",
+        "to_polars",
+        "to_xarray",
     ),
     "canser.tables.table": (
         "Table",

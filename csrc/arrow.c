@@ -1,18 +1,13 @@
-/* Tables: frames as columns of Arrow, which other programs take without a copy.
+/* Tables: columns of Arrow, which other programs take without a copy.
  *
- *     ts       i64, nanoseconds; null: not known        format "tsn:UTC" or "tDn"
- *     channel  u8, from 0; null: not told               "C"
- *     sent     bit; null: not told                      "b"
- *     id       u32                                      "I"
- *     ext, rtr, err                                     bits, "b"
- *     dlc      u8                                       "C"
- *     data     8 bytes                                  "w:8"
+ * A column is copied from an array of records, of frames or others. Bits of a column, and those
+ * that tell which values are not null, stand 8 to a byte, the first one lowest. Rows are copied
+ * block by block, all columns of a block together, so that records are read from memory once.
  *
- * Bits of a column, and those that tell which values are not null, stand 8 to a byte, the first
- * one lowest. This is the one file that allocates: the takers of a table own its memory together,
- * and the last one gives it back. A taker may move a struct away from where it was made, and
- * release it anywhere, in any order. So all structs of one export stand in one room, which is freed
- * when the last of them is released.
+ * This is the one file that allocates: the takers of a table own its memory together, and the last
+ * one gives it back. A taker may move a struct away from where it was made, and release it
+ * anywhere, in any order. So all structs of one export stand in one room, which is freed when the
+ * last of them is released.
  *
  * Source: arrow.apache.org, The Arrow C data interface, The Arrow C stream interface, Arrow
  * columnar format.
@@ -33,27 +28,31 @@ void CANSER_FREE(void *p);
 #define CANSER_FREE   free
 #endif
 
-/* The columns, in their order. */
-typedef enum { TS, CHANNEL, SENT, ID, EXT, RTR, ERR, DLC, DATA, COLUMN_COUNT } column;
-
-static const char *const names[COLUMN_COUNT] = {"ts",  "channel", "sent", "id",  "ext",
-                                                "rtr", "err",     "dlc",  "data"};
-static const char *const formats[COLUMN_COUNT] = {"tDn", "C", "b", "I", "b", "b", "b", "C", "w:8"};
-static const uint8_t value_bits[COLUMN_COUNT] = {64, 8, 1, 32, 1, 1, 1, 8, 64};
-
 /* Columns begin at multiples of this, and are padded to it with zeros, as Arrow recommends. */
 enum { ALIGNMENT = 64 };
 
-/* More frames than this do not fit into any memory: a row takes less than 32 bytes. */
-#define FRAMES_MOST (SIZE_MAX / 64)
+/* Rows that are copied at a time, a multiple of 8: 24 KiB of frames, which the nearest cache holds.
+ */
+enum { BLOCK_ROWS = 1024 };
+
+/* The widest value, and the most columns. */
+enum { SIZE_MOST = 1 << 16, COLUMNS_MOST = 1 << 12 };
+
+typedef struct {
+    char *name;
+    char *format;
+    int kind;
+    int64_t null_count;
+    uint8_t *valid;  /* the bits of values that are not null; NULL: all are valid */
+    uint8_t *values; /* of a text its ends, i64 */
+    uint8_t *texts;  /* the bytes of all texts; NULL in other columns */
+} table_column;
 
 struct canser_table {
-    uint32_t refs; /* the caller, and each array and stream */
-    uint8_t is_dated;
-    size_t frame_count;
-    int64_t null_counts[COLUMN_COUNT];
-    uint8_t *valid[COLUMN_COUNT]; /* the bits of values that are not null; NULL: all are valid */
-    uint8_t *values[COLUMN_COUNT];
+    uint32_t refs; /* the caller, and each array, stream and view */
+    size_t row_count;
+    size_t column_count;
+    table_column columns[]; /* their names, formats and values follow */
 };
 
 CANSER_INLINE size_t padded(size_t size)
@@ -61,124 +60,269 @@ CANSER_INLINE size_t padded(size_t size)
     return (size + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
 }
 
-CANSER_INLINE size_t bits_len(size_t count, size_t bits)
+CANSER_INLINE const uint8_t *value_at(const canser_column *from, size_t row)
 {
-    return padded(count / 8 * bits + (count % 8 * bits + 7) / 8);
+    return (const uint8_t *)from->values + (ptrdiff_t)row * from->stride;
 }
 
-/* Take the next `size` bytes, and zero the last ones, of which some are padding. */
-static uint8_t *take(uint8_t **at, size_t size)
+/* The bytes of a text, without those behind its end. */
+CANSER_INLINE size_t text_len(const canser_column *from, size_t row)
+{
+    const uint8_t *const end = memchr(value_at(from, row), 0, from->size);
+
+    return end ? (size_t)(end - value_at(from, row)) : from->size;
+}
+
+static size_t texts_len(const canser_column *from, size_t row_count)
+{
+    size_t sum = 0;
+
+    for (size_t i = 0; from->kind == CANSER_COLUMN_TEXT && i < row_count; i++)
+        sum += text_len(from, i);
+    return sum;
+}
+
+static size_t values_len(const canser_column *from, size_t row_count)
+{
+    switch (from->kind) {
+    case CANSER_COLUMN_FLAGS:
+        return (row_count + 7) / 8;
+    case CANSER_COLUMN_TEXT:
+        return (row_count + 1) * sizeof(int64_t);
+    default:
+        return row_count * from->size;
+    }
+}
+
+/* Take the next `size` bytes, padded, and zero the last ones, of which some are padding. With
+ * `*at` NULL only `*sum` grows. */
+static uint8_t *take(uint8_t **at, size_t *sum, size_t size)
 {
     uint8_t *const taken = *at;
 
+    size = padded(size);
+    *sum += size;
+    if (!taken)
+        return NULL;
     if (size)
         memset(taken + size - ALIGNMENT, 0, ALIGNMENT);
     *at += size;
     return taken;
 }
 
-/* Copy up to 8 frames, which are one byte of each column of bits. `to` is a copy of the table: so
- * the compiler knows that no byte of a column is one of its pointers. */
-CANSER_INLINE void fill_byte(const canser_table *to, int64_t *null_counts,
-                             const canser_frame *frames, const uint8_t *channels,
-                             const uint8_t *directions, size_t first, size_t count)
+static char *take_text(uint8_t **at, size_t *sum, const char *text)
 {
-    unsigned ext = 0, rtr = 0, err = 0, known = 0, told = 0, sent = 0;
-    uint8_t *const ts = to->values[TS] + 8 * first, *const id = to->values[ID] + 4 * first,
-                   *const dlc = to->values[DLC] + first, *const data = to->values[DATA] + 8 * first;
+    uint8_t *const taken = take(at, sum, strlen(text) + 1);
 
-    for (size_t i = 0; i < count; i++) {
-        const canser_frame *const frame = frames + first + i;
-        memcpy(ts + 8 * i, &frame->ts, sizeof frame->ts);
-        memcpy(id + 4 * i, &frame->id, sizeof frame->id);
-        memcpy(data + 8 * i, frame->data, sizeof frame->data);
-        dlc[i] = frame->dlc;
-        known |= (unsigned)(frame->ts != CANSER_NO_TIME) << i;
-        ext |= (unsigned)(frame->ext != 0) << i;
-        rtr |= (unsigned)(frame->rtr != 0) << i;
-        err |= (unsigned)(frame->err != 0) << i;
-        null_counts[TS] += frame->ts == CANSER_NO_TIME;
+    if (taken)
+        memcpy(taken, text, strlen(text) + 1);
+    return (char *)taken;
+}
+
+/* Place what belongs to the columns at `at`, and return its size; with `self` NULL only that. */
+static size_t place(canser_table *self, uint8_t *at, const canser_column *columns,
+                    size_t column_count, size_t row_count)
+{
+    size_t sum = 0;
+
+    for (size_t i = 0; i < column_count; i++) {
+        const canser_column *const from = &columns[i];
+        table_column to = {.kind = from->kind};
+
+        to.name = take_text(&at, &sum, from->name);
+        to.format = take_text(&at, &sum, from->format);
+        to.values = take(&at, &sum, values_len(from, row_count));
+        if (from->kind == CANSER_COLUMN_TEXT)
+            to.texts = take(&at, &sum, texts_len(from, row_count) + 1);
+        if (from->nulls != CANSER_NULLS_NONE)
+            to.valid = take(&at, &sum, (row_count + 7) / 8);
+        if (self)
+            self->columns[i] = to;
     }
-    to->valid[TS][first / 8] = (uint8_t)known;
-    to->values[EXT][first / 8] = (uint8_t)ext;
-    to->values[RTR][first / 8] = (uint8_t)rtr;
-    to->values[ERR][first / 8] = (uint8_t)err;
-    if (channels) {
-        memcpy(to->values[CHANNEL] + first, channels + first, count);
-        for (size_t i = 0; i < count; i++) {
-            told |= (unsigned)(channels[first + i] != CANSER_NO_CHANNEL) << i;
-            null_counts[CHANNEL] += channels[first + i] == CANSER_NO_CHANNEL;
+    return sum;
+}
+
+CANSER_INLINE void copy_values(uint8_t *to, const uint8_t *from, ptrdiff_t stride, size_t size,
+                               size_t count)
+{
+    for (size_t i = 0; i < count; i++)
+        memcpy(to + i * size, from + (ptrdiff_t)i * stride, size);
+}
+
+/* Copy up to BLOCK_ROWS rows of values; the usual sizes are constants. */
+static void copy(uint8_t *to, const canser_column *from, size_t first, size_t count)
+{
+    const uint8_t *const source = value_at(from, first);
+
+    to += first * from->size;
+    switch (from->size) {
+    case 1:
+        copy_values(to, source, from->stride, 1, count);
+        break;
+    case 4:
+        copy_values(to, source, from->stride, 4, count);
+        break;
+    case 8:
+        copy_values(to, source, from->stride, 8, count);
+        break;
+    default:
+        copy_values(to, source, from->stride, from->size, count);
+    }
+}
+
+static void copy_flags(uint8_t *to, const canser_column *from, size_t first, size_t count)
+{
+    for (size_t i = 0; i < count; i += 8) {
+        unsigned bits = 0;
+        for (size_t k = 0; k < 8 && i + k < count; k++)
+            bits |= (unsigned)(*value_at(from, first + i + k) != 0) << k;
+        to[(first + i) / 8] = (uint8_t)bits;
+    }
+}
+
+static void copy_texts(table_column *to, const canser_column *from, size_t first, size_t count)
+{
+    for (size_t i = first; i < first + count; i++) {
+        int64_t begin = 0, end;
+
+        if (i)
+            memcpy(&begin, to->values + i * sizeof begin, sizeof begin);
+        else
+            memcpy(to->values, &begin, sizeof begin);
+        end = begin + (int64_t)text_len(from, i);
+        memcpy(to->texts + begin, value_at(from, i), (size_t)(end - begin));
+        memcpy(to->values + (i + 1) * sizeof end, &end, sizeof end);
+    }
+}
+
+CANSER_INLINE bool is_null(const canser_column *from, int nulls, size_t row)
+{
+    const uint8_t *const p = value_at(from, row);
+    int64_t time;
+    double number;
+
+    switch (nulls) {
+    case CANSER_NULLS_NO_TIME:
+        memcpy(&time, p, sizeof time);
+        return time == CANSER_NO_TIME;
+    case CANSER_NULLS_NO_CHANNEL:
+        return *p == CANSER_NO_CHANNEL;
+    case CANSER_NULLS_NAN:
+        memcpy(&number, p, sizeof number);
+        return number != number;
+    default:
+        return true;
+    }
+}
+
+CANSER_INLINE void find_nulls(table_column *to, const canser_column *from, int nulls, size_t first,
+                              size_t count)
+{
+    uint8_t *const valid = to->valid;
+    int64_t null_count = to->null_count;
+
+    for (size_t i = 0; i < count; i += 8) {
+        unsigned bits = 0;
+        for (size_t k = 0; k < 8 && i + k < count; k++) {
+            const unsigned null = is_null(from, nulls, first + i + k);
+            bits |= (null ^ 1U) << k;
+            null_count += null;
         }
-        to->valid[CHANNEL][first / 8] = (uint8_t)told;
+        valid[(first + i) / 8] = (uint8_t)bits;
     }
-    if (directions) {
-        for (size_t i = 0; i < count; i++)
-            sent |= (unsigned)(directions[first + i] == CANSER_SENT) << i;
-        to->values[SENT][first / 8] = (uint8_t)sent;
+    to->null_count = null_count;
+}
+
+static void fill(table_column *to, const canser_column *from, size_t first, size_t count)
+{
+    if (from->kind == CANSER_COLUMN_FLAGS)
+        copy_flags(to->values, from, first, count);
+    else if (from->kind == CANSER_COLUMN_TEXT)
+        copy_texts(to, from, first, count);
+    else
+        copy(to->values, from, first, count);
+    switch (from->nulls) {
+    case CANSER_NULLS_NONE:
+        break;
+    case CANSER_NULLS_NO_TIME:
+        find_nulls(to, from, CANSER_NULLS_NO_TIME, first, count);
+        break;
+    default:
+        find_nulls(to, from, from->nulls, first, count);
     }
 }
 
-static void fill(canser_table *self, const canser_frame *frames, const uint8_t *channels,
-                 const uint8_t *directions)
+static int check(const canser_column *columns, size_t column_count, size_t row_count)
 {
-    const canser_table to = *self;
-    const size_t count = to.frame_count, whole = count / 8 * 8;
-    int64_t null_counts[COLUMN_COUNT] = {0};
-
-    for (size_t first = 0; first < whole; first += 8)
-        fill_byte(&to, null_counts, frames, channels, directions, first, 8);
-    if (whole < count)
-        fill_byte(&to, null_counts, frames, channels, directions, whole, count - whole);
-    memcpy(self->null_counts, null_counts, sizeof null_counts);
-    if (!channels) {
-        if (count)
-            memset(self->values[CHANNEL], CANSER_NO_CHANNEL, count);
-        memset(self->valid[CHANNEL], 0, bits_len(count, 1));
-        self->null_counts[CHANNEL] = (int64_t)count;
+    if (!columns && column_count)
+        return CANSER_NULL;
+    for (size_t i = 0; i < column_count; i++) {
+        const canser_column *const column = &columns[i];
+        if (!column->name || !column->format || (!column->values && row_count))
+            return CANSER_NULL;
+        if (column->kind < CANSER_COLUMN_VALUES || column->kind > CANSER_COLUMN_TEXT ||
+            column->nulls < CANSER_NULLS_NONE || column->nulls > CANSER_NULLS_NAN ||
+            !column->size || column->size > SIZE_MOST)
+            return CANSER_RANGE;
+        if (column->size < 8 &&
+            (column->nulls == CANSER_NULLS_NO_TIME || column->nulls == CANSER_NULLS_NAN))
+            return CANSER_RANGE;
     }
-    if (!directions) {
-        memset(self->values[SENT], 0, bits_len(count, 1));
-        self->valid[SENT] = self->values[SENT];
-        self->null_counts[SENT] = (int64_t)count;
-    }
-    for (int i = 0; i < COLUMN_COUNT; i++) {
-        if (!self->null_counts[i])
-            self->valid[i] = NULL;
-    }
+    return column_count > COLUMNS_MOST ? CANSER_RANGE : CANSER_OK;
 }
 
-int canser_table_new(const canser_frame *frames, const uint8_t *channels, const uint8_t *directions,
-                     size_t frame_count, int is_dated, canser_table **table)
+/* Whether the size of all columns can be told: texts have ends of 8 bytes, too, and there may be
+ * bits. */
+static bool fits(const canser_column *columns, size_t column_count, size_t row_count)
 {
-    size_t size = padded(sizeof(canser_table)) + ALIGNMENT;
+    size_t row_size = 0;
+
+    for (size_t i = 0; i < column_count; i++)
+        row_size += columns[i].size + sizeof(int64_t) + 1;
+    return !row_size || row_count < SIZE_MAX / 4 / row_size;
+}
+
+int canser_table_new(const canser_column *columns, size_t column_count, size_t row_count,
+                     canser_table **table)
+{
+    int status;
+    size_t size;
 
     if (!table)
         return CANSER_NULL;
     *table = NULL;
-    if (frame_count && !frames)
-        return CANSER_NULL;
-    if (misaligned(frames, _Alignof(canser_frame)))
-        return CANSER_MISALIGNED;
-    if (frame_count > FRAMES_MOST)
+    status = check(columns, column_count, row_count);
+    if (status)
+        return status;
+    if (!fits(columns, column_count, row_count))
         return CANSER_NO_MEMORY;
-    for (int i = 0; i < COLUMN_COUNT; i++)
-        size += bits_len(frame_count, value_bits[i]);
-    size += 2 * bits_len(frame_count, 1);
-
-    canser_table *const self = CANSER_MALLOC(size);
+    size = sizeof(canser_table) + column_count * sizeof(table_column);
+    canser_table *const self =
+        CANSER_MALLOC(size + ALIGNMENT + place(NULL, NULL, columns, column_count, row_count));
     if (!self)
         return CANSER_NO_MEMORY;
-    *self =
-        (canser_table){.refs = 1, .is_dated = (uint8_t)(is_dated != 0), .frame_count = frame_count};
-    uint8_t *at = (uint8_t *)self + sizeof *self;
+    *self = (canser_table){.refs = 1, .row_count = row_count, .column_count = column_count};
+    uint8_t *at = (uint8_t *)self + size;
     at += (ALIGNMENT - (uintptr_t)at % ALIGNMENT) % ALIGNMENT;
-    for (int i = 0; i < COLUMN_COUNT; i++)
-        self->values[i] = take(&at, bits_len(frame_count, value_bits[i]));
-    self->valid[TS] = take(&at, bits_len(frame_count, 1));
-    self->valid[CHANNEL] = take(&at, bits_len(frame_count, 1));
-    fill(self, frames, channels, directions);
+    place(self, at, columns, column_count, row_count);
+    for (size_t first = 0; first < row_count; first += BLOCK_ROWS) {
+        const size_t left = row_count - first, count = left < BLOCK_ROWS ? left : BLOCK_ROWS;
+        for (size_t i = 0; i < column_count; i++)
+            fill(&self->columns[i], &columns[i], first, count);
+    }
+    for (size_t i = 0; i < column_count; i++) {
+        table_column *const column = &self->columns[i];
+        if (!column->null_count)
+            column->valid = NULL;
+    }
     *table = self;
     return CANSER_OK;
+}
+
+void canser_table_share(canser_table *self)
+{
+    if (self)
+        CANSER_ADD(&self->refs, 1);
 }
 
 void canser_table_release(canser_table *self)
@@ -187,20 +331,52 @@ void canser_table_release(canser_table *self)
         CANSER_FREE(self);
 }
 
-/* The room of a schema: it is freed when its maker has freed it, and the schema and all of its
- * children are released. The struct that the maker gets is the first one, so the room begins
+int canser_table_column(const canser_table *self, size_t index, const uint8_t **values,
+                        const uint8_t **valid)
+{
+    if (!self || !values || !valid)
+        return CANSER_NULL;
+    *values = *valid = NULL;
+    if (index >= self->column_count)
+        return CANSER_RANGE;
+    *values = self->columns[index].values;
+    *valid = self->columns[index].valid;
+    return CANSER_OK;
+}
+
+/* The children of a column, of which a list has one. */
+CANSER_INLINE int64_t child_count(const table_column *column)
+{
+    return column->kind == CANSER_COLUMN_LIST;
+}
+
+/* The bytes of a list: its format is "+w:" and their number. */
+static int64_t list_len(const table_column *column)
+{
+    return (int64_t)strtoul(column->format + 3, NULL, 10);
+}
+
+/* The room of a schema: it is freed when its maker has freed it, and the schema and all below it
+ * are released. The struct that the maker gets is the first one, so the room begins
  * there. A struct that was moved away finds the room by its private data. */
+typedef struct {
+    struct ArrowSchema column, item;
+    struct ArrowSchema *item_pointers[1];
+} schema_slot;
+
 typedef struct {
     struct ArrowSchema schema;
     uint32_t refs;
-    struct ArrowSchema children[COLUMN_COUNT];
-    struct ArrowSchema *child_pointers[COLUMN_COUNT];
+    canser_table *table; /* has the names and formats */
+    schema_slot slots[]; /* one for each column; pointers to them follow */
 } schema_room;
 
 static void leave_schema_room(schema_room *room)
 {
-    if (!CANSER_ADD(&room->refs, -1))
+    if (!CANSER_ADD(&room->refs, -1)) {
+        canser_table_release(room->table);
         CANSER_FREE(room);
+    }
 }
 
 static void release_schema(struct ArrowSchema *schema)
@@ -214,35 +390,48 @@ static void release_schema(struct ArrowSchema *schema)
     leave_schema_room(schema->private_data);
 }
 
-int canser_table_schema(const canser_table *self, struct ArrowSchema **schema)
+int canser_table_schema(canser_table *self, struct ArrowSchema **schema)
 {
     if (!schema)
         return CANSER_NULL;
     *schema = NULL;
     if (!self)
         return CANSER_NULL;
-    schema_room *const room = CANSER_MALLOC(sizeof *room);
+    const size_t count = self->column_count;
+    schema_room *const room =
+        CANSER_MALLOC(sizeof *room + count * (sizeof *room->slots + sizeof(struct ArrowSchema *)));
     if (!room)
         return CANSER_NO_MEMORY;
+    struct ArrowSchema **const pointers = (struct ArrowSchema **)(void *)&room->slots[count];
     *room = (schema_room){
         .schema = {.format = "+s",
                    .name = "",
-                   .n_children = COLUMN_COUNT,
-                   .children = room->child_pointers,
+                   .n_children = (int64_t)count,
+                   .children = pointers,
                    .release = release_schema,
                    .private_data = room},
-        .refs = 2 + COLUMN_COUNT,
+        .refs = 2,
+        .table = self,
     };
-    for (int i = 0; i < COLUMN_COUNT; i++) {
-        room->children[i] = (struct ArrowSchema){
-            .format = i == TS && self->is_dated ? "tsn:UTC" : formats[i],
-            .name = names[i],
+    for (size_t i = 0; i < count; i++) {
+        const table_column *const column = &self->columns[i];
+        schema_slot *const slot = &room->slots[i];
+        slot->item = (struct ArrowSchema){
+            .format = "C", .name = "item", .release = release_schema, .private_data = room};
+        slot->item_pointers[0] = &slot->item;
+        slot->column = (struct ArrowSchema){
+            .format = column->format,
+            .name = column->name,
             .flags = ARROW_FLAG_NULLABLE,
+            .n_children = child_count(column),
+            .children = slot->item_pointers,
             .release = release_schema,
             .private_data = room,
         };
-        room->child_pointers[i] = &room->children[i];
+        room->refs += 1 + (uint32_t)child_count(column);
+        pointers[i] = &slot->column;
     }
+    canser_table_share(self);
     *schema = &room->schema;
     return CANSER_OK;
 }
@@ -258,13 +447,18 @@ void canser_schema_free(struct ArrowSchema *schema)
 
 /* The room of an array, as that of a schema. It keeps the table. */
 typedef struct {
+    struct ArrowArray column, item;
+    struct ArrowArray *item_pointers[1];
+    const void *buffers[3];
+    const void *item_buffers[2];
+} array_slot;
+
+typedef struct {
     struct ArrowArray array;
     uint32_t refs;
     canser_table *table;
-    struct ArrowArray children[COLUMN_COUNT];
-    struct ArrowArray *child_pointers[COLUMN_COUNT];
-    const void *buffers[COLUMN_COUNT][2];
     const void *no_bits[1]; /* of the array itself: all rows are valid */
+    array_slot slots[];     /* one for each column; pointers to them follow */
 } array_room;
 
 static void leave_array_room(array_room *room)
@@ -293,34 +487,56 @@ int canser_table_array(canser_table *self, struct ArrowArray **array)
     *array = NULL;
     if (!self)
         return CANSER_NULL;
-    array_room *const room = CANSER_MALLOC(sizeof *room);
+    const size_t count = self->column_count;
+    array_room *const room =
+        CANSER_MALLOC(sizeof *room + count * (sizeof *room->slots + sizeof(struct ArrowArray *)));
     if (!room)
         return CANSER_NO_MEMORY;
+    struct ArrowArray **const pointers = (struct ArrowArray **)(void *)&room->slots[count];
     *room = (array_room){
-        .array = {.length = (int64_t)self->frame_count,
+        .array = {.length = (int64_t)self->row_count,
                   .n_buffers = 1,
-                  .n_children = COLUMN_COUNT,
+                  .n_children = (int64_t)count,
                   .buffers = room->no_bits,
-                  .children = room->child_pointers,
+                  .children = pointers,
                   .release = release_array,
                   .private_data = room},
-        .refs = 2 + COLUMN_COUNT,
+        .refs = 2,
         .table = self,
     };
-    for (int i = 0; i < COLUMN_COUNT; i++) {
-        room->buffers[i][0] = self->valid[i];
-        room->buffers[i][1] = self->values[i];
-        room->children[i] = (struct ArrowArray){
-            .length = (int64_t)self->frame_count,
-            .null_count = self->null_counts[i],
+    for (size_t i = 0; i < count; i++) {
+        const table_column *const column = &self->columns[i];
+        array_slot *const slot = &room->slots[i];
+        const bool is_list = column->kind == CANSER_COLUMN_LIST;
+        slot->buffers[0] = column->valid;
+        slot->buffers[1] = column->values;
+        slot->buffers[2] = column->texts;
+        slot->item_buffers[0] = NULL;
+        slot->item_buffers[1] = column->values;
+        slot->item = (struct ArrowArray){
+            .length = is_list ? (int64_t)self->row_count * list_len(column) : 0,
             .n_buffers = 2,
-            .buffers = room->buffers[i],
+            .buffers = slot->item_buffers,
             .release = release_array,
             .private_data = room,
         };
-        room->child_pointers[i] = &room->children[i];
+        slot->item_pointers[0] = &slot->item;
+        slot->column = (struct ArrowArray){
+            .length = (int64_t)self->row_count,
+            .null_count = column->null_count,
+            .n_buffers = is_list         ? 1
+                         : column->texts ? 3
+                                         : 2,
+            .n_children = child_count(column),
+            .buffers = slot->buffers,
+            .children = slot->item_pointers,
+            .release = release_array,
+            .private_data = room,
+        };
+        room->refs += 1 + (uint32_t)child_count(column);
+        pointers[i] = &slot->column;
     }
-    CANSER_ADD(&self->refs, 1);
+    canser_table_share(self);
     *array = &room->array;
     return CANSER_OK;
 }
@@ -417,7 +633,7 @@ int canser_table_stream(canser_table *self, struct ArrowArrayStream **stream)
         .refs = 2,
         .table = self,
     };
-    CANSER_ADD(&self->refs, 1);
+    canser_table_share(self);
     *stream = &room->stream;
     return CANSER_OK;
 }

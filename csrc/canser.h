@@ -981,10 +981,38 @@ int canser_order_rows(const uint32_t *row_of, const int64_t *steps, size_t frame
                       int64_t *next, const int64_t *ends, size_t row_count, int64_t *out,
                       size_t out_cap);
 
-/* ---- For tables of other programs: frames as columns of Arrow. */
+/* ---- For tables of other programs: frames and other records as columns of Arrow. */
 
-/* Frames as columns, in memory of their own that never changes. The caller, and each array and
- * stream that was made of the table, own it together: the last one that is released frees it. */
+/* How the values of a column are copied. */
+enum {
+    CANSER_COLUMN_VALUES, /* `size` bytes each */
+    CANSER_COLUMN_FLAGS,  /* a byte each, of which a bit is made: 1 unless it is 0 */
+    CANSER_COLUMN_LIST,   /* `size` bytes each, as a list of numbers of fixed length */
+    CANSER_COLUMN_TEXT    /* UTF-8, up to `size` bytes each, with zero bytes behind it */
+};
+
+/* Which values of a column are null. */
+enum {
+    CANSER_NULLS_NONE,
+    CANSER_NULLS_ALL,
+    CANSER_NULLS_NO_TIME,    /* CANSER_NO_TIME, of int64_t */
+    CANSER_NULLS_NO_CHANNEL, /* CANSER_NO_CHANNEL, of uint8_t */
+    CANSER_NULLS_NAN         /* of double */
+};
+
+/* A column of an array of records. */
+typedef struct {
+    const char *name;
+    const char *format; /* of its type in Arrow, such as "I"; of a list "+w:" and `size` */
+    const void *values; /* the first one; need not be aligned */
+    ptrdiff_t stride;   /* bytes from one value to the next; may be negative */
+    size_t size;        /* of a value */
+    int kind;           /* CANSER_COLUMN_* */
+    int nulls;          /* CANSER_NULLS_* */
+} canser_column;
+
+/* Records as columns, in memory of their own that never changes. The caller, and all structs
+ * that were made of the table, own it together: the last one that is released frees it. */
 typedef struct canser_table canser_table;
 
 /* The structs of Arrow's C interfaces, see arrow.apache.org/docs/format/CDataInterface.html. Their
@@ -994,15 +1022,22 @@ struct ArrowSchema;
 struct ArrowArray;
 struct ArrowArrayStream;
 
-/* Copy frames into a new table. The columns are ts (nanoseconds: a timestamp in UTC if `is_dated`,
- * else a duration), channel (u8), sent (bool), id (u32), ext, rtr, err (bool), dlc (u8) and data (8
- * bytes). A time that is not known is null, and so are CANSER_NO_CHANNEL, all channels if
- * `channels` is NULL, and all of sent if `directions` is NULL. Both are as long as `frames`.
+/* Copy columns, with their names and formats, into a new table.
  *
- * Returns CANSER_OK, and the caller releases `*table`; CANSER_NULL, CANSER_MISALIGNED or
- * CANSER_NO_MEMORY, and `*table` is NULL. `frames` may be NULL if `frame_count` is 0. */
-int canser_table_new(const canser_frame *frames, const uint8_t *channels, const uint8_t *directions,
-                     size_t frame_count, int is_dated, canser_table **table);
+ * Returns CANSER_OK, and the caller releases `*table`; CANSER_NULL, CANSER_NO_MEMORY, or
+ * CANSER_RANGE for an unknown kind or a size that does not fit it, and `*table` is NULL. `values`
+ * may be NULL if `row_count` is 0. The formats are not checked. */
+int canser_table_new(const canser_column *columns, size_t column_count, size_t row_count,
+                     canser_table **table);
+
+/* Own the table once more: it is released once more, too. NULL is allowed. */
+void canser_table_share(canser_table *self);
+
+/* Find the values of a column, which are good as long as the table is owned, and the bits of those
+ * that are not null, the first one lowest; NULL: none is null. Returns CANSER_OK, CANSER_NULL or
+ * CANSER_RANGE. */
+int canser_table_column(const canser_table *self, size_t index, const uint8_t **values,
+                        const uint8_t **valid);
 
 /* Release the table, once. NULL is allowed. */
 void canser_table_release(canser_table *self);
@@ -1014,7 +1049,7 @@ void canser_table_release(canser_table *self);
  * another program, which moves its content away as Arrow's specification tells: copies it, and sets
  * `release` to NULL. Returns CANSER_OK; CANSER_NULL or CANSER_NO_MEMORY, and the pointer is NULL.
  */
-int canser_table_schema(const canser_table *self, struct ArrowSchema **schema);
+int canser_table_schema(canser_table *self, struct ArrowSchema **schema);
 int canser_table_array(canser_table *self, struct ArrowArray **array);
 int canser_table_stream(canser_table *self, struct ArrowArrayStream **stream);
 

@@ -18,7 +18,7 @@ PACKAGE = Path(canser.__file__).parent
 FLOORS = [
     ["_checks", "_guards", "_named", "_progress", "_quantities", "_signals", "errors"],
     ["_frames", "_input", "_output", "_threads"],
-    ["_core", "_rows"],
+    ["_core", "_dates", "_rows"],
     ["_notation", "_protocols"],
     ["_items", "adapters", "codec"],
     ["simulation", "timing"],

@@ -122,7 +122,7 @@ def test_times_are_dates_if_the_first_known_one_is(times: tuple[int, ...], dated
     table = canser.table(timed(*times))
     assert times_of(table) == ("tsn:UTC" if dated else "tDn")
     assert ("dates in UTC" if dated else "durations") in repr(table)
-    assert f"{len(times):,} frames" in repr(table)
+    assert f"{len(times):,} rows" in repr(table)
 
 
 def test_dates_are_dates_for_other_programs() -> None:
@@ -173,9 +173,9 @@ def test_frames_may_lie_anywhere(take: Any) -> None:
 def test_arguments_are_checked() -> None:
     frames = vehicle(1)[:3]
     three, four = np.zeros(3, np.uint8), np.zeros(4, np.uint8)
-    with pytest.raises(TypeError, match=r"frames must be an array of .*, not list"):
+    with pytest.raises(TypeError, match=r"records must be an array of .*, not list"):
         canser.table([1])  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="frames has 2 dimensions"):
+    with pytest.raises(ValueError, match="records has 2 dimensions"):
         canser.table(frames[None])
     with pytest.raises(TypeError, match="channels must be an array of uint8, not list"):
         canser.table(frames, channels=[0, 1, 2])  # type: ignore[arg-type]
@@ -203,7 +203,7 @@ except MemoryError as error:
     print(error)
 """
     )
-    assert said == "there is no memory for a table of 4,000,000 frames\n"
+    assert said == "there is no memory for a table of 4,000,000 rows\n"
 
 
 # ---- Whose memory it is.

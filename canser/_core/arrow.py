@@ -1,15 +1,41 @@
 """Tables: frames as columns of Arrow in memory of C, and the capsules that hand them on."""
 
 import ctypes
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
-from canser._core._lib import ffi, lib
-from canser._core.buffers import NULL, Pointer, input_frames, raise_status
-from canser._core.text import Codes
-from canser._frames import FrameArray
+import numpy as np
+import numpy.typing as npt
 
-__all__ = ["Capsule", "Columns"]
+from canser._core._lib import ffi, lib
+from canser._core.buffers import NULL, Pointer, raise_status
+
+__all__ = [
+    "FLAGS",
+    "LIST",
+    "NULLS_ALL",
+    "NULLS_NAN",
+    "NULLS_NONE",
+    "NULLS_NO_CHANNEL",
+    "NULLS_NO_TIME",
+    "TEXT",
+    "VALUES",
+    "Capsule",
+    "Column",
+    "Columns",
+]
+
+# How values are copied, and which ones are null: see canser.h.
+VALUES: Final[int] = lib.CANSER_COLUMN_VALUES
+FLAGS: Final[int] = lib.CANSER_COLUMN_FLAGS
+LIST: Final[int] = lib.CANSER_COLUMN_LIST
+TEXT: Final[int] = lib.CANSER_COLUMN_TEXT
+NULLS_NONE: Final[int] = lib.CANSER_NULLS_NONE
+NULLS_ALL: Final[int] = lib.CANSER_NULLS_ALL
+NULLS_NO_TIME: Final[int] = lib.CANSER_NULLS_NO_TIME
+NULLS_NO_CHANNEL: Final[int] = lib.CANSER_NULLS_NO_CHANNEL
+NULLS_NAN: Final[int] = lib.CANSER_NULLS_NAN
 
 # A PyCapsule with a struct of Arrow, which one consumer takes.
 Capsule = object
@@ -50,23 +76,62 @@ _STREAM: Final = _kind(
 )
 
 
-class Columns:
-    """Frames as columns; see canser_table_new. The arrays are copied."""
+class Column(NamedTuple):
+    """A column of records: see canser_column.
 
-    def __init__(
-        self, frames: FrameArray, channels: Codes | None, directions: Codes | None, *, dated: bool
-    ) -> None:
-        self._count = len(frames)
+    `values` has one dimension, or two for bytes and lists; it need not be contiguous or aligned.
+    """
+
+    name: str
+    format: str
+    values: npt.NDArray[Any]
+    kind: int = VALUES
+    nulls: int = NULLS_NONE
+
+
+class Columns:
+    """Columns in memory of C, which never changes; see canser_table_new. They are copied."""
+
+    def __init__(self, columns: Sequence[Column], count: int) -> None:
+        self._count = count
+        # What tells the type of a view, but not the caller's arrays.
+        self._types = [(each.kind, each.values.dtype, each.values.shape[1:]) for each in columns]
+        given = ffi.new("canser_column[]", len(columns))
+        texts = []
+        for to, column in zip(given, columns, strict=True):
+            texts += [ffi.new("char[]", text.encode()) for text in (column.name, column.format)]
+            to.name, to.format = texts[-2:]
+            values = column.values
+            to.values = ffi.cast("void *", values.ctypes.data)
+            to.stride = values.strides[0] if count else 0
+            to.size = values.itemsize * math.prod(values.shape[1:])
+            to.kind, to.nulls = column.kind, column.nulls
         made = ffi.new("canser_table **")
-        codes = [
-            NULL if each is None else ffi.from_buffer("uint8_t[]", each)
-            for each in (channels, directions)
-        ]
-        self._check(lib.canser_table_new(input_frames(frames), *codes, self._count, dated, made))
+        self._check(lib.canser_table_new(given, len(columns), count, made))
         self._table = ffi.gc(made[0], lib.canser_table_release)
 
     def __len__(self) -> int:
         return self._count
+
+    def view(self, index: int) -> npt.NDArray[Any]:
+        """Return the values of a column without a copy, read-only; flags as bits, 8 to a byte.
+
+        The array keeps the memory. A null is any value.
+        """
+        kind, dtype, shape = self._types[index]
+        values = self._pointers(index)[0]
+        if kind == FLAGS:
+            return np.asarray(_View(self._table, values, "|u1", ((self._count + 7) // 8,)))
+        return np.asarray(_View(self._table, values, dtype.str, (self._count, *shape)))
+
+    def valid(self, index: int) -> npt.NDArray[np.bool_]:
+        """Return for each value of a column whether it is not null, a copy."""
+        bits = self._pointers(index)[1]
+        if bits == NULL:
+            return np.ones(self._count, np.bool_)
+        packed = np.frombuffer(ffi.buffer(bits, (self._count + 7) // 8), np.uint8)
+        unpacked = np.unpackbits(packed, count=self._count, bitorder="little")
+        return unpacked.astype(np.bool_)
 
     def schema(self) -> Capsule:
         """Return a capsule with the schema."""
@@ -80,6 +145,18 @@ class Columns:
         """Return a capsule with a stream of one batch."""
         return self._capsule(_STREAM)
 
+    def _pointers(self, index: int) -> tuple[Pointer, Pointer]:
+        values, valid = ffi.new("uint8_t **"), ffi.new("uint8_t **")
+        self._check(
+            lib.canser_table_column(
+                self._table,
+                index,
+                ffi.cast("const uint8_t **", values),
+                ffi.cast("const uint8_t **", valid),
+            )
+        )
+        return values[0], valid[0]
+
     def _capsule(self, kind: _Kind) -> Capsule:
         made = ffi.new(kind.type)
         self._check(kind.export(self._table, made))
@@ -91,6 +168,20 @@ class Columns:
 
     def _check(self, status: int) -> None:
         if status == lib.CANSER_NO_MEMORY:
-            raise MemoryError(f"there is no memory for a table of {self._count:,} frames")
+            raise MemoryError(f"there is no memory for a table of {self._count:,} rows")
         if status:
             raise_status(status)
+
+
+class _View:
+    """Owns a table as long as an array of its values is in use."""
+
+    def __init__(self, table: Pointer, values: Pointer, dtype: str, shape: tuple[int, ...]) -> None:
+        lib.canser_table_share(table)
+        self._table = ffi.gc(ffi.cast("canser_table *", table), lib.canser_table_release)
+        self.__array_interface__ = {
+            "version": 3,
+            "typestr": dtype,
+            "shape": shape,
+            "data": (int(ffi.cast("uintptr_t", values)), True),
+        }

@@ -11,6 +11,7 @@ import numpy as np
 
 from canser._core.ids import Rows
 from canser._core.stream import Control
+from canser._dates import date_text
 from canser._frames import NO_TIME, FrameArray
 from canser._input import Input
 from canser.analysis import report
@@ -18,7 +19,6 @@ from canser.analysis.ids import ID_STATS_DTYPE, IdStatsArray, contiguous, finish
 from canser.analysis.plain import to_plain
 from canser.codec.decoder import Stats
 from canser.errors import NoProtocolError
-from canser.files.dates import date_text
 from canser.files.fits import Fit, identify
 from canser.files.packed import unpacked
 from canser.files.reading import (

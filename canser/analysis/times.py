@@ -6,9 +6,8 @@ from typing import Any, Final
 import numpy as np
 
 from canser._checks import type_name
+from canser._dates import date_ns, is_dated
 from canser._frames import NO_TIME, FrameArray, check_frames, concat
-from canser.files.dates import date_ns
-from canser.tables.table import is_dated
 
 __all__ = ["between", "merge"]
 

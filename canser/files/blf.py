@@ -21,10 +21,10 @@ from typing import Any, BinaryIO, Final
 
 from canser._core.blf import OBJECT_MOST, BlfReader, BlfWriter
 from canser._core.text import Codes, Taken
+from canser._dates import date_ns, first_date, local_date
 from canser._frames import NO_TIME, FrameArray
 from canser._input import Input
 from canser.errors import FormatError
-from canser.files.dates import date_ns, first_date, local_date
 from canser.files.reader import Reader, ReadOptions
 from canser.files.tagged import TaggedReader
 from canser.files.writer import WriteOptions, give, patchable

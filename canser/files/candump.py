@@ -32,10 +32,10 @@ import numpy.typing as npt
 
 from canser import _notation
 from canser._core.text import Codes, TextWriter
+from canser._dates import to_ns
 from canser._frames import NO_TIME, FrameArray, copy_records
 from canser._input import Input
 from canser._rows import check_row
-from canser.files.dates import to_ns
 from canser.files.foreign import is_text
 from canser.files.lines import Line, LineReader
 from canser.files.reader import Reader, ReadOptions

@@ -37,10 +37,10 @@ import numpy as np
 import numpy.typing as npt
 
 from canser._core.text import NO_CHANNEL, SENT, Codes
+from canser._dates import date_ns, first_date
 from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_records
 from canser._input import Input
 from canser.errors import FormatError
-from canser.files.dates import date_ns, first_date
 from canser.files.mdf_blocks import check_blocks, data_len
 from canser.files.reader import Reader, ReadOptions
 from canser.files.tagged import TaggedReader

@@ -15,6 +15,7 @@ from canser._checks import instance
 from canser._core.buffers import Offsets, check_array, output_offsets
 from canser._core.stream import Control
 from canser._core.text import NO_CHANNEL, Codes
+from canser._dates import date_ns, date_text
 from canser._frames import (
     FRAME_DTYPE,
     NO_TIME,
@@ -31,7 +32,6 @@ from canser._protocols import protocols
 from canser.codec.decoder import Decoder, Stats, add_stats, check_threads
 from canser.codec.growing import GrowingFrames
 from canser.errors import CanserWarning, FormatError
-from canser.files.dates import date_ns, date_text
 from canser.files.formats import choose_format, find_format
 from canser.files.judge import check_protocol
 from canser.files.packed import unpacked

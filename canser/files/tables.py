@@ -7,6 +7,7 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 
 from canser._core.text import NO_CHANNEL, Codes
+from canser._dates import is_dated
 from canser._frames import FRAME_DTYPE, FrameArray, copy_records, put_records
 from canser._input import Input
 from canser.errors import FormatError
@@ -14,7 +15,6 @@ from canser.files.columns import from_batch, load_pyarrow, to_batch
 from canser.files.reader import ReadOptions
 from canser.files.tagged import TaggedReader
 from canser.files.tags import RECEIVED, Tagged, joined
-from canser.tables.table import is_dated
 
 __all__ = ["BatchReader", "BatchWriter"]
 

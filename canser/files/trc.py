@@ -23,10 +23,10 @@ from typing import BinaryIO, Final
 import numpy as np
 
 from canser._core.text import Codes, TextWriter
+from canser._dates import date_ns, first_date, local_date
 from canser._frames import FrameArray
 from canser._input import Input
 from canser._rows import check_row
-from canser.files.dates import date_ns, first_date, local_date
 from canser.files.foreign import is_text
 from canser.files.lines import Line, LineReader
 from canser.files.reader import Reader, ReadOptions

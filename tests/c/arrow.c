@@ -10,6 +10,7 @@
 #include "canser.h"
 
 #include <errno.h>
+#include <math.h>
 #include <pthread.h>
 #include <stdatomic.h>
 #include <stdbool.h>
@@ -107,6 +108,32 @@ static const canser_frame *make_frames(size_t count, uint8_t *channels, uint8_t 
         directions[i] = (uint8_t)random_below(2);
     }
     return frames;
+}
+
+/* Make a table of frames as the binding makes it. */
+static int frames_table(const canser_frame *frames, const uint8_t *channels,
+                        const uint8_t *directions, size_t count, int is_dated, canser_table **table)
+{
+    static const uint8_t untold = CANSER_NO_CHANNEL, not_sent = 0;
+    static const canser_frame none;
+    const canser_frame *const f = frames ? frames : &none;
+    const ptrdiff_t stride = sizeof *f;
+    const canser_column columns[COLUMNS] = {
+        {"ts", is_dated ? "tsn:UTC" : "tDn", &f->ts, stride, 8, CANSER_COLUMN_VALUES,
+         CANSER_NULLS_NO_TIME},
+        {"channel", "C", channels ? channels : &untold, channels != NULL, 1, CANSER_COLUMN_VALUES,
+         channels ? CANSER_NULLS_NO_CHANNEL : CANSER_NULLS_ALL},
+        {"sent", "b", directions ? directions : &not_sent, directions != NULL, 1,
+         CANSER_COLUMN_FLAGS, directions ? CANSER_NULLS_NONE : CANSER_NULLS_ALL},
+        {"id", "I", &f->id, stride, 4, CANSER_COLUMN_VALUES, CANSER_NULLS_NONE},
+        {"ext", "b", &f->ext, stride, 1, CANSER_COLUMN_FLAGS, CANSER_NULLS_NONE},
+        {"rtr", "b", &f->rtr, stride, 1, CANSER_COLUMN_FLAGS, CANSER_NULLS_NONE},
+        {"err", "b", &f->err, stride, 1, CANSER_COLUMN_FLAGS, CANSER_NULLS_NONE},
+        {"dlc", "C", &f->dlc, stride, 1, CANSER_COLUMN_VALUES, CANSER_NULLS_NONE},
+        {"data", "w:8", f->data, stride, 8, CANSER_COLUMN_VALUES, CANSER_NULLS_NONE},
+    };
+
+    return canser_table_new(columns, COLUMNS, count, table);
 }
 
 static bool bit(const uint8_t *bits, size_t i)
@@ -319,8 +346,76 @@ static void one_round(size_t round)
     const bool is_dated = random_below(2);
     canser_table *table;
 
-    check(!canser_table_new(frames, told, ways, count, is_dated, &table), "new", round);
+    check(!frames_table(frames, told, ways, count, is_dated, &table), "new", round);
     export_and_release(table, frames, told, ways, count, is_dated);
+}
+
+/* Texts, lists, numbers of which some are none; from records that lie backwards. */
+static void other_columns(size_t round)
+{
+    typedef struct {
+        char text[5];
+        uint8_t bytes[3];
+        double number;
+    } record;
+    const size_t count = 1 + random_below(40);
+    record *const records = (record *)(void *)guarded(count * sizeof *records) - count;
+    const record *const last = records + count - 1;
+    const ptrdiff_t back = -(ptrdiff_t)sizeof *last;
+    canser_table *table;
+    struct ArrowSchema *schema;
+    struct ArrowArray *array;
+    const uint8_t *values, *valid;
+    bool same = true;
+    int64_t nulls = 0;
+
+    for (size_t i = 0; i < count; i++) {
+        const size_t len = random_below(6);
+        memset(&records[i], 0, sizeof *records);
+        memset(records[i].text, 'a' + (int)(i % 26), len);
+        records[i].bytes[i % 3] = (uint8_t)i;
+        records[i].number = random_below(3) ? (double)i : (double)NAN;
+    }
+    const canser_column columns[] = {
+        {"text", "U", last->text, back, 5, CANSER_COLUMN_TEXT, CANSER_NULLS_NONE},
+        {"bytes", "+w:3", last->bytes, back, 3, CANSER_COLUMN_LIST, CANSER_NULLS_NONE},
+        {"number", "g", &last->number, back, 8, CANSER_COLUMN_VALUES, CANSER_NULLS_NAN},
+    };
+    check(!canser_table_new(columns, 3, count, &table), "new", round);
+    check(!canser_table_schema(table, &schema), "schema", round);
+    check(!canser_table_array(table, &array), "array", round);
+    check(!strcmp(schema->children[1]->children[0]->format, "C"), "a list's schema", round);
+    const struct ArrowArray *const text = array->children[0], *const list = array->children[1];
+    const int64_t *const ends = text->buffers[1];
+    const struct ArrowArray *const items = list->children[0];
+    check(text->n_buffers == 3 && list->n_buffers == 1 && list->n_children == 1 &&
+              items->length == (int64_t)(3 * count) && !ends[0],
+          "a text and a list", round);
+    for (size_t i = 0; i < count; i++) {
+        const record *const from = last - i;
+        const size_t len = strnlen(from->text, 5);
+        const double *const number = array->children[2]->buffers[1];
+        const uint8_t *const known = array->children[2]->buffers[0];
+        same &= ends[i + 1] - ends[i] == (int64_t)len &&
+                !memcmp((const char *)text->buffers[2] + ends[i], from->text, len);
+        same &= !memcmp((const uint8_t *)items->buffers[1] + 3 * i, from->bytes, 3);
+        same &= !memcmp(&number[i], &from->number, sizeof *number);
+        nulls += from->number != from->number;
+        same &= (!known || bit(known, i)) == (from->number == from->number);
+    }
+    check(same && nulls == array->children[2]->null_count, "values of other columns", round);
+    check(!canser_table_column(table, 2, &values, &valid) &&
+              values == array->children[2]->buffers[1] && valid == array->children[2]->buffers[0],
+          "a view", round);
+    check(canser_table_column(table, 3, &values, &valid) == CANSER_RANGE && !values, "no column",
+          round);
+    /* The one that owns the table last frees it. */
+    canser_table_share(table);
+    canser_table_release(table);
+    canser_schema_free(schema);
+    canser_array_free(array);
+    canser_table_release(table);
+    check(!blocks, "blocks of memory are left", round);
 }
 
 /* Wherever memory ends, the call says so, and what was there before is given back. */
@@ -333,10 +428,9 @@ static void without_memory(void)
     struct ArrowArrayStream *stream;
 
     fails_at = calls = 0;
-    check(canser_table_new(frames, NULL, NULL, 10, 0, &table) == CANSER_NO_MEMORY && !table, "new",
-          0);
+    check(frames_table(frames, NULL, NULL, 10, 0, &table) == CANSER_NO_MEMORY && !table, "new", 0);
     fails_at = -1;
-    check(!canser_table_new(frames, NULL, NULL, 10, 0, &table), "new", 1);
+    check(!frames_table(frames, NULL, NULL, 10, 0, &table), "new", 1);
     fails_at = calls = 0;
     check(canser_table_schema(table, &schema) == CANSER_NO_MEMORY && !schema, "schema", 0);
     calls = 0;
@@ -363,26 +457,35 @@ static void without_memory(void)
 static void mistakes(void)
 {
     static const canser_frame frames[2];
-    const canser_frame *const off = (const void *)((const uint8_t *)frames + 1);
     canser_table *table = (void *)&table;
     struct ArrowSchema *schema;
     struct ArrowArray *array;
     struct ArrowArrayStream *stream;
 
-    check(canser_table_new(frames, NULL, NULL, 1, 0, NULL) == CANSER_NULL, "no table", 0);
-    check(canser_table_new(NULL, NULL, NULL, 1, 0, &table) == CANSER_NULL && !table, "no frames",
-          0);
-    check(canser_table_new(off, NULL, NULL, 1, 0, &table) == CANSER_MISALIGNED && !table,
-          "misaligned", 0);
+    check(frames_table(frames, NULL, NULL, 1, 0, NULL) == CANSER_NULL, "no table", 0);
+    check(canser_table_new(NULL, 1, 1, &table) == CANSER_NULL && !table, "no columns", 0);
+    for (int wrong = 0; wrong < 7; wrong++) {
+        canser_column column = {"a", "C", frames, 1, 1, CANSER_COLUMN_VALUES, CANSER_NULLS_NONE};
+        static const int statuses[] = {CANSER_NULL,  CANSER_NULL,  CANSER_NULL, CANSER_RANGE,
+                                       CANSER_RANGE, CANSER_RANGE, CANSER_RANGE};
+        column.name = wrong == 0 ? NULL : column.name;
+        column.format = wrong == 1 ? NULL : column.format;
+        column.values = wrong == 2 ? NULL : column.values;
+        column.size = wrong == 3 ? 0 : column.size;
+        column.kind = wrong == 4 ? CANSER_COLUMN_TEXT + 1 : column.kind;
+        column.nulls = wrong == 5 ? CANSER_NULLS_NAN + 1 : column.nulls;
+        column.nulls = wrong == 6 ? CANSER_NULLS_NO_TIME : column.nulls;
+        check(canser_table_new(&column, 1, 1, &table) == statuses[wrong] && !table, "a column",
+              (size_t)wrong);
+    }
     for (size_t few = 0; few < 30; few++)
-        check(canser_table_new(frames, NULL, NULL, SIZE_MAX >> few, 0, &table) ==
-                      CANSER_NO_MEMORY &&
+        check(frames_table(frames, NULL, NULL, SIZE_MAX >> few, 0, &table) == CANSER_NO_MEMORY &&
                   !table,
               "too many", few);
     check(canser_table_schema(NULL, &schema) == CANSER_NULL && !schema, "no table", 1);
     check(canser_table_array(NULL, &array) == CANSER_NULL && !array, "no table", 2);
     check(canser_table_stream(NULL, &stream) == CANSER_NULL && !stream, "no table", 3);
-    check(!canser_table_new(NULL, NULL, NULL, 0, 0, &table), "no frames at all", 0);
+    check(!frames_table(NULL, NULL, NULL, 0, 0, &table), "no frames at all", 0);
     check(canser_table_schema(table, NULL) == CANSER_NULL, "no schema", 0);
     check(canser_table_array(table, NULL) == CANSER_NULL, "no array", 0);
     check(canser_table_stream(table, NULL) == CANSER_NULL, "no stream", 0);
@@ -424,7 +527,7 @@ static void in_threads(size_t round)
     struct ArrowSchema *schema;
     canser_table *table;
 
-    check(!canser_table_new(frames, NULL, NULL, 3, 0, &table), "new", round);
+    check(!frames_table(frames, NULL, NULL, 3, 0, &table), "new", round);
     check(!canser_table_array(table, &array), "array", round);
     check(!canser_table_schema(table, &schema), "schema", round);
     for (int i = 0; i < THREADS; i++) {
@@ -460,6 +563,8 @@ int main(int argc, char **argv)
         one_round(round);
     for (size_t round = 0; round < TURNS; round++)
         in_threads(round);
+    for (size_t round = 0; round < TURNS; round++)
+        other_columns(round);
     printf("%llu passed, %llu failed\n", (unsigned long long)passed, (unsigned long long)failed);
     return failed != 0;
 }

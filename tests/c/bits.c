@@ -5,6 +5,7 @@
  */
 #include "guarded.h"
 
+#include "canser.h"
 #include "plain_bits.h"
 
 #include <stdbool.h>

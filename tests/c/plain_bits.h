@@ -1,5 +1,4 @@
-/* The length of a frame on the bus, bit by bit: what the tables of bits.c are compared with, by its
- * test and by its benchmark. */
+/* The length of a frame on the bus, bit by bit: from the tables and figures of CAN 2.0. */
 #ifndef PLAIN_BITS_H
 #define PLAIN_BITS_H
 
@@ -13,7 +12,7 @@ static unsigned put(uint8_t *bits, unsigned count, uint32_t value, int number)
     return count;
 }
 
-/* The length by the tables and figures of CAN 2.0, bit by bit. */
+/* As canser_frame_bits(). */
 static unsigned plain_length(const canser_frame *frame)
 {
     uint8_t bits[128];

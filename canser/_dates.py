@@ -5,9 +5,12 @@ from typing import Final
 
 from canser._frames import NO_TIME, YEAR_2000_NS, FrameArray
 
-__all__ = ["date_ns", "date_text", "first_date", "local_date", "to_ns"]
+__all__ = ["date_ns", "date_text", "first_date", "is_dated", "local_date", "to_ns"]
 
 _SECOND_NS: Final = 1_000_000_000
+# Frames whose times are looked at together. Most often the first time of all is known.
+_LOOKED_AT: Final = 1 << 10
+
 _EPOCH: Final = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
 
 
@@ -48,3 +51,14 @@ def first_date(frames: FrameArray, step_ns: int) -> int:
     known = frames["ts"][frames["ts"] != NO_TIME]
     first = int(known[0]) if len(known) else 0
     return first - first % step_ns if first >= YEAR_2000_NS else 0
+
+
+def is_dated(frames: FrameArray) -> bool:
+    """Return whether the first known time is a date."""
+    times = frames["ts"]
+    for first in range(0, len(times), _LOOKED_AT):
+        part = times[first : first + _LOOKED_AT]
+        known = part[part != NO_TIME]
+        if len(known):
+            return int(known[0]) >= YEAR_2000_NS
+    return False

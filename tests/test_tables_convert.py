@@ -1,0 +1,254 @@
+"""Frames to pandas, polars, pyarrow, duckdb and xarray, and back: the same frames."""
+
+import gc
+import subprocess
+import sys
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import canser
+from canser.simulation.traffic import vehicle
+from reference import NO_TIME, Frame
+from samples import EPOCH, FRAMES, SECOND, array, listed, timed
+
+PACKAGES = {"arrow": "pyarrow", "polars": "polars", "pandas": "pandas", "xarray": "xarray"}
+NAMES = ["native", "python-can", "asam"]
+
+every_package = pytest.mark.parametrize("package", PACKAGES)
+
+
+def there(package: str, frames: canser.FrameArray, **options: Any) -> Any:
+    pytest.importorskip(PACKAGES[package])
+    return getattr(canser, f"to_{package}")(frames, **options)
+
+
+def back(package: str, source: Any, **options: Any) -> canser.FrameArray:
+    if package == "polars":
+        pytest.importorskip("pyarrow")
+    found: canser.FrameArray = getattr(canser, f"from_{package}")(source, **options)
+    return found
+
+
+@every_package
+@given(frames=FRAMES, data=st.data())
+def test_there_and_back_are_the_same_frames(
+    package: str, frames: list[Frame], data: st.DataObject
+) -> None:
+    made = array(*frames)
+    options = {
+        "names": data.draw(st.sampled_from(NAMES)),
+        "data": data.draw(st.sampled_from(["binary", "list"])),
+        "id_hex": data.draw(st.booleans()),
+    }
+    codes = st.lists(st.integers(0, 255), min_size=len(frames), max_size=len(frames))
+    channels = np.array(data.draw(codes), np.uint8)
+    directions = channels % 2
+    for told in (None, channels):
+        sent = None if told is None else directions
+        source = there(package, made, channels=told, directions=sent, **options)
+        assert len(back(package, source)) == len(frames)
+        got = np.zeros(len(frames), np.uint8), np.zeros(len(frames), np.uint8)
+        found = back(package, source, channels=got[0], directions=got[1])
+        assert listed(found) == frames
+        assert got[0].tolist() == ([255] * len(frames) if told is None else told.tolist())
+        assert got[1].tolist() == ([0] * len(frames) if sent is None else sent.tolist())
+
+
+@every_package
+@pytest.mark.parametrize("times", [(0, 1, NO_TIME), (EPOCH, EPOCH + 1, NO_TIME)])
+def test_times_are_exact_to_the_nanosecond(package: str, times: tuple[int, ...]) -> None:
+    frames = timed(*times)
+    assert back(package, there(package, frames))["ts"].tolist() == list(times)
+
+
+@every_package
+def test_many_frames_there_and_back(package: str) -> None:
+    frames = vehicle(20)
+    assert np.array_equal(back(package, there(package, frames)), frames)
+
+
+@every_package
+def test_relative_times_become_dates_by_an_epoch(package: str) -> None:
+    frames = timed(0, 1, NO_TIME)
+    start = datetime(2026, 11, 26, 8, tzinfo=UTC)
+    found = back(package, there(package, frames, epoch=start))
+    base = int(start.timestamp()) * SECOND
+    assert found["ts"].tolist() == [base, base + 1, NO_TIME]
+    with pytest.raises(ValueError, match="dates already"):
+        there(package, timed(EPOCH), epoch=start)
+    with pytest.raises(TypeError, match="epoch must be a datetime"):
+        there(package, frames, epoch=5)
+
+
+@every_package
+def test_every_array_of_records_is_a_table(package: str) -> None:
+    frames = vehicle(2)
+    stats = canser.id_stats(frames)
+    info = there(package, stats)
+    assert len(info["id"]) == len(stats)
+    assert list(np.asarray(info["count"])) == stats["count"].tolist()
+    assert [str(each) for each in np.asarray(info["pattern"])] == stats["pattern"].tolist()
+    for records in (
+        canser.bus_load(frames, 500_000),
+        canser.dropouts(frames),
+        canser.compare(frames, frames).ids,
+        canser.compare(frames, frames).timing,
+    ):
+        assert len(canser.table(records)) == len(records)
+        there(package, records)
+
+
+def test_what_is_not_known_is_null() -> None:
+    pa = pytest.importorskip("pyarrow")
+    stats = canser.id_stats(canser.frames("123#01"))
+    made = pa.table(canser.table(stats))
+    assert made["period_ns"].null_count == made["first_ns"].null_count == 1
+    assert made["channel"].null_count == 1
+    assert made["moving"].to_pylist() == [bytes(8)]
+    dated = canser.table(canser.id_stats(timed(EPOCH, EPOCH + 7)))
+    assert dated["first_ns"].dtype == np.dtype("M8[ns]")
+    assert dated["last_ns"].view(np.int64).tolist() == [EPOCH + 7]
+
+
+def test_duckdb_takes_a_table() -> None:
+    duckdb = pytest.importorskip("duckdb")
+    frames = vehicle(2)
+    made = canser.table(frames, id_hex=True)  # noqa: F841 - duckdb finds it by its name
+    rows = duckdb.sql("select id_hex, count(*) from made group by id_hex").fetchall()
+    groups = canser.by_id(frames)
+    assert dict(rows) == {name: len(own) for name, own in groups.items()}
+
+
+def test_ids_are_text_on_request() -> None:
+    frames = canser.frames("001#", "18FEF100#", "20000080#00", "123#R")
+    made = canser.table(frames, id_hex=True)
+    assert made["id_hex"].tolist() == ["001", "18FEF100", "00000080", "123"]
+    assert made.names[-1] == "id_hex"
+    assert made.format("id_hex") == "U"
+
+
+# Views of numpy
+
+
+def test_a_column_is_a_view_that_keeps_the_memory() -> None:
+    frames = vehicle(2)
+    made = canser.table(frames)
+    views = {name: made[name] for name in ("ts", "id", "dlc", "data", "ext")}
+    again = made["id"]
+    assert again.ctypes.data == views["id"].ctypes.data
+    assert views["id"].ctypes.data % 64 == 0
+    del made, again
+    gc.collect()
+    for name in ("id", "dlc", "data", "ext"):
+        assert np.array_equal(views[name], frames[name])
+        assert name == "ext" or not views[name].flags.writeable
+    assert np.array_equal(views["ts"].view(np.int64), frames["ts"])
+    with pytest.raises(ValueError, match="read-only"):
+        views["id"][0] = 1
+
+
+def test_a_view_and_another_program_share_the_memory() -> None:
+    pa = pytest.importorskip("pyarrow")
+    made = canser.table(vehicle(1))
+    assert pa.table(made)["id"].chunk(0).buffers()[1].address == made["id"].ctypes.data
+
+
+def test_frames_that_are_written_over_do_not_change_a_table() -> None:
+    frames = canser.frames("123#01", "124#02")
+    made = canser.table(frames)
+    view = made["data"]
+    frames["data"] = 255
+    assert view[:, 0].tolist() == [1, 2]
+
+
+def test_nulls_of_a_column_are_told() -> None:
+    made = canser.table(timed(0, NO_TIME, 2), channels=np.array([0, 1, 255], np.uint8))
+    assert made.valid("ts").tolist() == [True, False, True]
+    assert made.valid("channel").tolist() == [True, True, False]
+    assert made.valid("sent").tolist() == [False] * 3
+    assert np.isnat(made["ts"]).tolist() == [False, True, False]
+    with pytest.raises(KeyError, match="no column 'time'; there are ts, channel"):
+        made["time"]
+
+
+def test_views_end_after_the_interpreter_began_to() -> None:
+    code = "import canser; kept = canser.table(canser.frames('123#01'))['id']; kept.sum()"
+    done = subprocess.run(
+        [sys.executable, "-X", "dev", "-c", code], capture_output=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+# Refused
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"names": "can"}, "names is 'can'; give 'native', 'python-can', 'asam'"),
+        ({"data": "text"}, "data is 'text'; give 'binary', 'list'"),
+    ],
+)
+def test_an_unknown_choice_is_refused(options: dict[str, str], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        canser.table(timed(0), **options)  # type: ignore[arg-type]
+
+
+def test_options_of_frames_are_for_frames() -> None:
+    with pytest.raises(ValueError, match="are for frames; leave them out"):
+        canser.table(canser.id_stats(timed(0)), id_hex=True)
+    with pytest.raises(TypeError, match="the field a has the dtype complex128"):
+        canser.table(np.zeros(1, [("a", complex)]))
+
+
+@every_package
+def test_a_package_that_is_missing_is_named(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = PACKAGES[package]
+    monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(ModuleNotFoundError, match=f"pip install {name}"):
+        getattr(canser, f"to_{package}")(timed(0))
+
+
+def test_a_row_that_is_no_frame_is_named() -> None:
+    pa = pytest.importorskip("pyarrow")
+    good = canser.to_arrow(canser.frames("123#01", "124#02"))
+
+    def with_column(name: str, values: Any) -> Any:
+        return good.set_column(good.schema.get_field_index(name), name, values)
+
+    with pytest.raises(ValueError, match="row 1: the id 0x800 is over 0x7ff"):
+        canser.from_arrow(with_column("id", pa.array([1, 0x800])))
+    with pytest.raises(ValueError, match="row 0: id is -1; it must be a whole number up to"):
+        canser.from_arrow(with_column("id", pa.array([-1, 1])))
+    with pytest.raises(ValueError, match=r"row 1: dlc is 1\.5"):
+        canser.from_arrow(with_column("dlc", pa.array([1.0, 1.5])))
+    with pytest.raises(ValueError, match="id is null"):
+        canser.from_arrow(with_column("id", pa.array([None, 1])))
+    with pytest.raises(ValueError, match="no column dlc, data"):
+        canser.from_arrow(good.select(["id", "ext"]))
+    with pytest.raises(ValueError, match="values of another type"):
+        canser.from_arrow(with_column("data", pa.array(["a", "b"])))
+    wide = with_column("id", pa.array([1.0, 2.0])).select(["data", "dlc", "ext", "id"])
+    assert canser.from_arrow(wide)["id"].tolist() == [1, 2]
+    assert canser.from_arrow(wide)["ts"].tolist() == [NO_TIME] * 2
+    with pytest.raises(ValueError, match=r"channels has the shape \(1,\); it must be \(2,\)"):
+        canser.from_arrow(good, channels=np.zeros(1, np.uint8))
+
+
+@every_package
+def test_what_is_no_table_is_refused(package: str) -> None:
+    pytest.importorskip(PACKAGES[package])
+    pytest.importorskip("pyarrow")
+    with pytest.raises(TypeError, match="source must be a"):
+        back(package, 5)
+
+
+def test_an_empty_table_has_no_frames() -> None:
+    for package, name in PACKAGES.items():
+        pytest.importorskip(name)
+        assert len(back(package, there(package, array()))) == 0
