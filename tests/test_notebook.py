@@ -1,6 +1,6 @@
-"""The notebook of the examples: it runs, and its committed outputs are what comes out.
+"""The notebooks of the examples: they run, and their committed outputs are what comes out.
 
-After a change of the notebook, write its outputs anew: python tests/test_notebook.py
+After a change of one, write its outputs anew: python tests/test_notebook.py examples/drive.ipynb
 """
 
 import base64
@@ -16,7 +16,10 @@ from typing import Any
 
 import pytest
 
-NOTEBOOK = Path(__file__).parent.parent / "examples" / "canser.ipynb"
+EXAMPLES = Path(__file__).parent.parent / "examples"
+NOTEBOOKS = sorted(path.name for path in EXAMPLES.glob("*.ipynb"))
+
+every_notebook = pytest.mark.parametrize("name", NOTEBOOKS)
 
 NEEDED = ("ipykernel", "matplotlib", "nbclient", "nbformat")
 MISSING = [name for name in NEEDED if find_spec(name) is None]
@@ -84,14 +87,15 @@ def pictures(cell: Cell) -> list[bytes]:
     return [base64.b64decode("".join(each["image/png"])) for each in data if "image/png" in each]
 
 
+@every_notebook
 @pytest.mark.skipif(
     bool(MISSING), reason=f"not installed: {', '.join(MISSING)}; pip install 'canser[notebook]'"
 )
-def test_runs_and_puts_out_what_is_committed(tmp_path: Path) -> None:
+def test_runs_and_puts_out_what_is_committed(name: str, tmp_path: Path) -> None:
     fresh = tmp_path / "fresh.ipynb"
     # A process of its own: an event loop, sockets and their warnings stay out of this one.
     done = subprocess.run(
-        [sys.executable, __file__, str(fresh)],
+        [sys.executable, __file__, str(EXAMPLES / name), str(fresh)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -99,28 +103,31 @@ def test_runs_and_puts_out_what_is_committed(tmp_path: Path) -> None:
         timeout=600,
     )
     assert done.returncode == 0, done.stdout
-    for committed, cell in zip(code_cells(NOTEBOOK), code_cells(fresh), strict=True):
+    for committed, cell in zip(code_cells(EXAMPLES / name), code_cells(fresh), strict=True):
         assert text_outputs(cell) == text_outputs(committed), "stale: see this file's first lines"
         assert len(pictures(cell)) == len(pictures(committed))
 
 
-def test_committed_is_executed_in_order() -> None:
-    cells = code_cells(NOTEBOOK)
+@every_notebook
+def test_committed_is_executed_in_order(name: str) -> None:
+    cells = code_cells(EXAMPLES / name)
     assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
     kinds = {output["output_type"] for cell in cells for output in cell["outputs"]}
     assert kinds == {"stream", "display_data"}  # no error, and nothing put out by accident
     assert "stderr" not in {name for cell in cells for name, _ in text_outputs(cell)}
 
 
-def test_committed_has_pictures() -> None:
-    found = [picture for cell in code_cells(NOTEBOOK) for picture in pictures(cell)]
+@every_notebook
+def test_committed_has_pictures(name: str) -> None:
+    found = [picture for cell in code_cells(EXAMPLES / name) for picture in pictures(cell)]
     assert found
     assert all(picture.startswith(b"\x89PNG\r\n\x1a\n") for picture in found)
-    assert NOTEBOOK.stat().st_size < 400_000
+    assert (EXAMPLES / name).stat().st_size < 400_000
 
 
-def test_committed_has_nothing_of_a_machine() -> None:
-    notebook = json.loads(NOTEBOOK.read_text("utf-8"))
+@every_notebook
+def test_committed_has_nothing_of_a_machine(name: str) -> None:
+    notebook = json.loads((EXAMPLES / name).read_text("utf-8"))
     assert notebook["metadata"] == METADATA
     for cell in notebook["cells"]:
         assert cell["metadata"] == {}
@@ -130,4 +137,4 @@ def test_committed_has_nothing_of_a_machine() -> None:
 
 
 if __name__ == "__main__":
-    execute(NOTEBOOK, Path(sys.argv[1]) if len(sys.argv) > 1 else NOTEBOOK)
+    execute(Path(sys.argv[1]), Path(sys.argv[-1]))
