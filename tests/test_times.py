@@ -89,6 +89,14 @@ def test_nothing_merged_is_nothing() -> None:
     assert listed(canser.merge(array(), timed(1))) == listed(timed(1))
 
 
+def test_a_date_is_for_dates_and_a_difference_for_others() -> None:
+    with pytest.raises(ValueError, match="start is a date, and the times of the frames count"):
+        canser.between(timed(0), AT)
+    with pytest.raises(ValueError, match="end is a difference, and the times of the frames are"):
+        canser.between(timed(EPOCH), None, dt.timedelta(seconds=1))
+    assert len(canser.between(timed(NO_TIME), AT)) == 0
+
+
 def test_arrays_that_cannot_be_merged_are_refused() -> None:
     with pytest.raises(ValueError, match=r"1 frames of arrays\[1\] have no time"):
         canser.merge(timed(0), timed(1, NO_TIME))

@@ -41,7 +41,8 @@ def between(frames: FrameArray, start: Time | None = None, end: Time | None = No
     TypeError
         `frames` is no array of FRAME_DTYPE, or a time is of another type.
     ValueError
-        The shape is not (n,), or a time is NaT, or a time of numpy is not within 292 years of 1970.
+        The shape is not (n,), a time is a date and those of the frames are not, or the other way
+        round, or a time is NaT, or a time of numpy is not within 292 years of 1970.
 
     Examples
     --------
@@ -53,10 +54,12 @@ def between(frames: FrameArray, start: Time | None = None, end: Time | None = No
     check_frames(frames, "frames")
     ts = frames["ts"]
     chosen = ts != NO_TIME
-    if start is not None:
-        chosen &= ts >= _to_ns(start, "start")
-    if end is not None:
-        chosen &= ts < _to_ns(end, "end")
+    for name, time in (("start", start), ("end", end)):
+        if time is None:
+            continue
+        border = _to_ns(time, name)
+        _check_kind(time, name, frames)
+        chosen &= ts >= border if name == "start" else ts < border
     return frames.compress(chosen)
 
 
@@ -108,6 +111,19 @@ def merge(*arrays: FrameArray) -> FrameArray:
         )
     whole = concat(arrays)
     return whole.take(np.argsort(whole["ts"], kind="stable"))
+
+
+def _check_kind(time: Any, name: str, frames: FrameArray) -> None:
+    """Raise ValueError for a date among times that are none, or a difference among dates."""
+    if not (frames["ts"] != NO_TIME).any():
+        return
+    dated = is_dated(frames)
+    if isinstance(time, dt.datetime | np.datetime64) and not dated:
+        raise ValueError(
+            f"{name} is a date, and the times of the frames count from a start; give a timedelta"
+        )
+    if isinstance(time, dt.timedelta | np.timedelta64) and dated:
+        raise ValueError(f"{name} is a difference, and the times of the frames are dates")
 
 
 def _to_ns(time: Any, name: str) -> int:
