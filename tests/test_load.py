@@ -189,6 +189,21 @@ def test_the_car_loads_its_bus_to_a_fifth() -> None:
 
 
 @needs_captures
+@pytest.mark.parametrize(
+    ("log", "bitrate", "mean", "most"),
+    [
+        ("car", 500_000, 0.212, 0.230),
+        ("boat", 250_000, 0.089, 0.487),
+        ("tesla", 500_000, 0.334, 0.411),
+    ],
+)
+def test_loads_of_captures(log: str, bitrate: int, mean: float, most: float) -> None:
+    rows = canser.bus_load(expected(log), bitrate)
+    loads = rows["bits"].sum() / rows["window_ns"].sum() * 1e9 / bitrate, rows["load"].max()
+    assert loads == pytest.approx((mean, most), abs=0.0006)
+
+
+@needs_captures
 @pytest.mark.parametrize("name", ["car-noisy.serial.bin", "boat.serial.bin", "tesla.serial.bin"])
 def test_captures_have_bits_for_all_frames(name: str) -> None:
     frames = canser.read(CAPTURES / name, "serial")

@@ -15,6 +15,7 @@ import canser
 from canser.simulation.traffic import vehicle
 from reference import NO_TIME, Frame
 from samples import EPOCH, FRAMES, SECOND, array, listed, timed
+from shared import CAPTURES, needs_captures
 
 PACKAGES = {"arrow": "pyarrow", "polars": "polars", "pandas": "pandas", "xarray": "xarray"}
 NAMES = ["native", "python-can", "asam"]
@@ -101,6 +102,64 @@ def test_every_array_of_records_is_a_table(package: str) -> None:
     ):
         assert len(canser.table(records)) == len(records)
         there(package, records)
+
+
+@pytest.mark.parametrize("package", ["pandas", "xarray"])
+def test_what_was_made_may_be_written_to(package: str) -> None:
+    frames = canser.frames("123#01", "124#02")
+    source = there(package, frames)
+    if package == "pandas":
+        source.loc[0, "id"] = 0x321
+        source.loc[1, "dlc"] = 0
+    else:
+        source["id"][0] = 0x321
+        source["dlc"][1] = 0
+    assert back(package, source)["id"].tolist() == [0x321, 0x124]
+    assert frames["id"].tolist() == [0x123, 0x124]
+
+
+@needs_captures
+def test_statistics_of_the_car_are_those_of_pandas_polars_and_python_can() -> None:
+    pytest.importorskip("pandas")
+    pl = pytest.importorskip("polars")
+    can = pytest.importorskip("can")
+    frames = canser.read(CAPTURES / "car.candump.log")
+    frames["ts"] -= frames["ts"][0]  # pandas takes the differences of groups as float64
+    stats = canser.id_stats(frames)
+    nanoseconds = canser.to_pandas(frames)
+    nanoseconds["ts"] = nanoseconds["ts"].astype("int64")
+    groups = nanoseconds.groupby("id")["ts"]
+    steps = groups.diff().groupby(nanoseconds["id"])
+    by_pandas = {
+        "count": groups.count(),
+        "first_ns": groups.first(),
+        "last_ns": groups.last(),
+        "interval_min_ns": steps.min(),
+        "interval_mean_ns": steps.mean(),
+        "interval_median_ns": steps.median(),
+        "interval_max_ns": steps.max(),
+    }
+    assert groups.count().index.tolist() == stats["id"].tolist()
+    for name, values in by_pandas.items():
+        assert np.allclose(stats[name], values.to_numpy(), rtol=1e-13), name
+    ts = pl.col("ts").cast(pl.Int64)
+    by_polars = (
+        canser.to_polars(frames)
+        .group_by("id")
+        .agg(
+            count=pl.len(),
+            interval_mean_ns=ts.diff().mean(),
+            interval_median_ns=ts.diff().median(),
+            interval_max_ns=ts.diff().max(),
+        )
+        .sort("id")
+    )
+    for name in by_polars.columns:
+        assert np.allclose(stats[name], by_polars[name].to_numpy(), rtol=1e-13), name
+    counts: dict[int, int] = {}
+    for message in can.LogReader(CAPTURES / "car.candump.log"):
+        counts[message.arbitration_id] = counts.get(message.arbitration_id, 0) + 1
+    assert dict(zip(stats["id"].tolist(), stats["count"].tolist(), strict=True)) == counts
 
 
 def test_what_is_not_known_is_null() -> None:

@@ -113,16 +113,18 @@ class Columns:
     def __len__(self) -> int:
         return self._count
 
-    def view(self, index: int) -> npt.NDArray[Any]:
-        """Return the values of a column without a copy, read-only; flags as bits, 8 to a byte.
+    def view(self, index: int, *, writeable: bool = False) -> npt.NDArray[Any]:
+        """Return the values of a column without a copy; flags as bits, 8 to a byte.
 
-        The array keeps the memory. A null is any value.
+        The array keeps the memory. A null is any value. `writeable` is for a table that is handed
+        to no other program.
         """
         kind, dtype, shape = self._types[index]
         values = self._pointers(index)[0]
+        full = (self._count, *shape)
         if kind == FLAGS:
-            return np.asarray(_View(self._table, values, "|u1", ((self._count + 7) // 8,)))
-        return np.asarray(_View(self._table, values, dtype.str, (self._count, *shape)))
+            dtype, full = np.dtype(np.uint8), ((self._count + 7) // 8,)
+        return np.asarray(_View(self._table, values, dtype.str, full, writeable))
 
     def valid(self, index: int) -> npt.NDArray[np.bool_]:
         """Return for each value of a column whether it is not null, a copy."""
@@ -176,12 +178,19 @@ class Columns:
 class _View:
     """Owns a table as long as an array of its values is in use."""
 
-    def __init__(self, table: Pointer, values: Pointer, dtype: str, shape: tuple[int, ...]) -> None:
+    def __init__(
+        self,
+        table: Pointer,
+        values: Pointer,
+        dtype: str,
+        shape: tuple[int, ...],
+        writeable: bool,
+    ) -> None:
         lib.canser_table_share(table)
         self._table = ffi.gc(ffi.cast("canser_table *", table), lib.canser_table_release)
         self.__array_interface__ = {
             "version": 3,
             "typestr": dtype,
             "shape": shape,
-            "data": (int(ffi.cast("uintptr_t", values)), True),
+            "data": (int(ffi.cast("uintptr_t", values)), not writeable),
         }

@@ -128,12 +128,12 @@ def to_pandas(records: _Records, **options: Any) -> Any:
     """
     pd = _load("pandas")
     made = table(records, **options)
-    return pd.DataFrame({name: _series(pd, made, name) for name in made.names})
+    columns = {name: _series(pd, made, name, values) for name, values in made.own().items()}
+    return pd.DataFrame(columns, copy=False)
 
 
-def _series(pd: Any, made: Table, name: str) -> Any:
+def _series(pd: Any, made: Table, name: str, values: npt.NDArray[Any]) -> Any:
     """Return a column as pandas takes it."""
-    values = made[name]
     if values.dtype.kind == "M":
         return pd.DatetimeIndex(values).tz_localize("UTC")
     if values.ndim == 2:
@@ -141,7 +141,7 @@ def _series(pd: Any, made: Table, name: str) -> Any:
         return [row.tobytes() for row in values] if is_binary else values.tolist()
     null = ~made.valid(name)
     if null.any() and values.dtype.kind == "u":
-        return pd.arrays.IntegerArray(values.copy(), null)
+        return pd.arrays.IntegerArray(values, null)
     if null.any() and values.dtype.kind == "b":
         return pd.arrays.BooleanArray(values, null)
     return values
@@ -179,8 +179,7 @@ def to_xarray(records: _Records, **options: Any) -> Any:
     xr = _load("xarray")
     made = table(records, **options)
     variables = {}
-    for name in made.names:
-        values = made[name]
+    for name, values in made.own().items():
         if values.dtype.kind == "b" and not made.valid(name).all():
             continue
         variables[name] = (("row", "byte")[: values.ndim], values)

@@ -66,15 +66,30 @@ class Table:
         return list(self._names)
 
     def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        return self._view(name, writeable=False)
+
+    def _view(self, name: str, *, writeable: bool) -> npt.NDArray[Any]:
         index = self._find(name)
         if name in self._texts:
             return self._texts[name].astype(str)
-        values = self._columns.view(index)
+        values = self._columns.view(index, writeable=writeable)
         if self._formats[index] == "b":
             return np.unpackbits(values, count=len(self), bitorder="little").astype(np.bool_)
         if self._formats[index].startswith("ts"):
             return values.view("M8[ns]")
         return values.view("m8[ns]") if self._formats[index].startswith("tD") else values
+
+    def own(self) -> dict[str, npt.NDArray[Any]]:
+        """Return all columns as arrays that may be written to, without a further copy.
+
+        For a table that is handed to no other program.
+
+        Returns
+        -------
+        dict of str to array
+            The columns, in their order.
+        """
+        return {name: self._view(name, writeable=True) for name in self._names}
 
     def valid(self, name: str) -> npt.NDArray[np.bool_]:
         """Return for each value of a column whether it is not null.
