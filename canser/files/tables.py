@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, BinaryIO, Final
 
 import numpy as np
@@ -74,7 +75,10 @@ class BatchReader(TaggedReader):
 
 
 class BatchWriter:
-    """Writes frames as batches of `_BATCH` rows. A subclass defines `_open`."""
+    """Writes frames as batches of `_BATCH` rows. A subclass defines `_open`.
+
+    pyarrow packs a batch in a thread of its own, and meanwhile the next one is made ready.
+    """
 
     takes_tags = True
 
@@ -82,6 +86,8 @@ class BatchWriter:
         self._pa = load_pyarrow(name)
         self._file = _Sink(file)
         self._writer: Any = None
+        self._thread = ThreadPoolExecutor(1, "canser-batches")
+        self._packing: Future[None] | None = None  # of the batch before
         self._dated = False
         self._held: list[Tagged] = []  # frames of the next batch
         self._held_count = 0
@@ -116,17 +122,27 @@ class BatchWriter:
         batch = to_batch(self._pa, *block, dated=self._dated)
         if self._writer is None:
             self._writer = self._open(batch.schema)
-        self._writer.write_batch(batch)
+        self._wait()
+        self._packing = self._thread.submit(self._writer.write_batch, batch)
+
+    def _wait(self) -> None:
+        """Wait for the batch before; raise the error that has stopped it."""
+        packing, self._packing = self._packing, None
+        if packing is not None:
+            packing.result()
 
     def abandon(self) -> None:
         """Write nothing more: an error has ended the writing."""
         self._file.leave()  # pyarrow's writers complete the file when they are collected
+        self._thread.shutdown()
 
     def finish(self) -> list[str]:
         """Write the end; return no remarks: the file holds everything."""
         self._flush()
         if self._writer is None:
             self._write(Tagged(np.empty(0, FRAME_DTYPE)))
+        self._wait()
+        self._thread.shutdown()
         self._writer.close()
         return []
 
