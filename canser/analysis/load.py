@@ -139,7 +139,7 @@ class BusLoad:
     Notes
     -----
     The result is the same wherever the stream is cut into arrays. Memory grows by 32 to 64 bytes
-    for each 100 ms, or each window, that has frames.
+    for each 100 ms, or each window, that has frames; while they are summed up, it is 160 bytes.
 
     Examples
     --------
