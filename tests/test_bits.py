@@ -50,6 +50,24 @@ def test_lengths_of_frames_with_long_runs_of_equal_bits(frames: list[Frame]) -> 
     assert canser.frame_bits(array(*frames)).tolist() == lengths
 
 
+TAIL = 1 + 1 + 1 + 7 + 3
+
+
+@pytest.mark.parametrize(
+    ("text", "length"),
+    [
+        # 34 zeros, as the CRC is 0, too: a stuff bit behind each five of them.
+        ("000#", 34 + 6 + TAIL),
+        # 00000 00000 00 1 00000 0 111001111000101: three stuff bits.
+        ("000#R", 34 + 3 + TAIL),
+        # 0101..01, and 001101100000100 as CRC: one stuff bit.
+        ("555#5555555555555555", 19 + 64 + 15 + 1 + TAIL),
+    ],
+)
+def test_lengths_that_were_counted_by_hand(text: str, length: int) -> None:
+    assert canser.frame_bits(canser.frames(text)).tolist() == [length]
+
+
 def test_what_has_no_bits() -> None:
     assert canser.frame_bits(array()).tolist() == []
     assert canser.frame_bits(array(Frame(1, err=True, dlc=8))).tolist() == [0]

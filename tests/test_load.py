@@ -87,6 +87,27 @@ def test_windows_are_counted_anew_behind_a_jump_back() -> None:
     ]
 
 
+def test_times_that_came_already_are_counted_anew() -> None:
+    """As in a capture that is played twice."""
+    run = [number * 10 * MS for number in range(1_000)]
+    rows = canser.bus_load(timed(*run, *run))
+    assert rows["start_ns"].tolist() == 2 * [*range(0, 10 * SECOND, 100 * MS)]
+    assert (rows["frames"] == 10).all()
+
+
+def test_a_window_has_one_row_if_the_clock_comes_back_to_it() -> None:
+    """Steps back of up to a second are disorder; a hole behind them leads to windows that were."""
+    run = [number * 10 * MS for number in range(10_000)]
+    back = [run[-1] - number * 900 * MS for number in range(1, 50)]
+    slow = [back[-1] + number * 10 * MS for number in range(100)]
+    later = [slow[-1] + 20 * SECOND + number * 10 * MS for number in range(3_000)]
+    times = [*run, *back, *slow, *later]
+    rows = canser.bus_load(timed(*times))
+    windows, counts = np.unique(np.array(times) // (100 * MS), return_counts=True)
+    assert rows["start_ns"].tolist() == (windows * 100 * MS).tolist()
+    assert rows["frames"].tolist() == counts.tolist()
+
+
 def test_there_are_at_most_8000_rows() -> None:
     times = np.arange(0, 3_600 * SECOND, 500 * MS)
     times[1] += 1

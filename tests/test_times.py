@@ -76,6 +76,20 @@ def test_a_time_of_numpy_in_fine_units_is_cut_to_nanoseconds() -> None:
     assert len(canser.between(timed(0, 1, 2), np.timedelta64(1_500, "ps"))) == 2
 
 
+def test_times_of_pandas_have_nanoseconds_and_are_utc() -> None:
+    pd = pytest.importorskip("pandas")
+    frames = timed(EPOCH, EPOCH + 300, EPOCH + 500)
+    for zone in (None, "UTC", "Asia/Tokyo"):
+        time = pd.Timestamp(EPOCH + 500, tz="UTC").tz_convert(zone)
+        assert listed(canser.between(frames, time)) == listed(frames[2:])
+        assert listed(canser.between(frames, None, time)) == listed(frames[:2])
+    assert len(canser.between(timed(0, 300, 500), pd.Timedelta(500, "ns"))) == 1
+    with pytest.raises(ValueError, match="start is NaT, which is no time"):
+        canser.between(frames, pd.NaT)
+    with pytest.raises(ValueError, match="start is a date"):
+        canser.between(timed(0), pd.Timestamp(EPOCH))
+
+
 @given(st.lists(FRAMES, max_size=3))
 def test_arrays_are_merged_by_time(parts: list[list[Frame]]) -> None:
     kept = [[frame for frame in part if NO_TIME < frame.ts < 10**17] for part in parts]

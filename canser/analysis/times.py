@@ -25,9 +25,9 @@ def between(frames: FrameArray, start: Time | None = None, end: Time | None = No
     frames : array of FRAME_DTYPE, shape (n,)
         The frames in any order, contiguous or not.
     start : int, datetime64, timedelta64, datetime or timedelta, optional
-        The first time that is taken: nanoseconds, or a date of numpy or Python. A datetime without
-        a zone is local time; a time of numpy is cut to nanoseconds. By default there is no first
-        one.
+        The first time that is taken: nanoseconds, or a date of numpy, Python or pandas. A datetime
+        without a zone is local time, one of pandas is UTC as all of numpy are. A time of numpy is
+        cut to nanoseconds. By default there is no first one.
     end : int, datetime64, timedelta64, datetime or timedelta, optional
         The first time that is no longer taken. By default there is none.
 
@@ -128,6 +128,10 @@ def _check_kind(time: Any, name: str, frames: FrameArray) -> None:
 
 def _to_ns(time: Any, name: str) -> int:
     """Return a time in nanoseconds."""
+    if isinstance(time, dt.datetime | dt.timedelta):
+        # Those of pandas are subclasses with nanoseconds, which Python's arithmetic cuts off.
+        to_numpy = getattr(time, "to_datetime64", getattr(time, "to_timedelta64", None))
+        time = time if to_numpy is None else to_numpy()
     if isinstance(time, np.datetime64 | np.timedelta64):
         if np.isnat(time):
             raise ValueError(f"{name} is NaT, which is no time; leave it out")
