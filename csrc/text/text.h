@@ -14,11 +14,12 @@
 CANSER_TEXTS(CANSER_DECLARE)
 #undef CANSER_DECLARE
 
-/* The bytes behind the start of a line that may be read, and the longest line as it is written. */
-enum { LINE_WINDOW = 512, LINE_MOST = 160 };
-
 /* The longest run of blanks between two tokens. Programs align columns by up to 40. */
 enum { BLANKS_MOST = 64 };
+
+/* The bytes behind the start of a line that may be read: most for trc, where up to ten runs of
+ * blanks lie between tokens of up to 28 bytes. And the longest line as it is written. */
+enum { LINE_WINDOW = 1024, LINE_MOST = 160 };
 
 /* One frame of a line, and what the record has no field for. */
 typedef struct {
@@ -259,18 +260,16 @@ CANSER_INLINE const uint8_t *take_byte(const uint8_t *p, uint8_t *value)
     return p + 1;
 }
 
-/* `count` bytes of two hexadecimal digits, a blank before each. */
+/* `count` bytes of one or two hexadecimal digits: any blanks before the first, one before others.
+ */
 CANSER_INLINE const uint8_t *take_spaced(const uint8_t *p, size_t count, uint8_t *data)
 {
-    if (!p)
-        return NULL;
-    for (size_t i = 0; i < count; i++) {
-        const uint8_t *const begin = p[0] == ' ' && !is_blank(p[1]) ? p + 1 : take_blanks(p);
-        if (!begin)
+    if (count)
+        p = take_blanks(p);
+    for (size_t i = 0; p && i < count; i++) {
+        if (i && !is_blank(*p++))
             return NULL;
-        p = take_byte(begin, &data[i]);
-        if (!p)
-            return NULL;
+        p = take_byte(p, &data[i]);
     }
     return p;
 }
