@@ -84,7 +84,6 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
 {
     const bool known = frame->ts != CANSER_NO_TIME;
     uint32_t ns;
-    int shift = 28;
 
     *out++ = ' ';
     out = put_seconds(self, out,
@@ -100,21 +99,17 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
         return PUT(out, "ErrorFrame\n");
     }
     uint8_t *const id = out;
-    while (shift && !(frame->id >> shift))
-        shift -= 4;
-    for (; shift >= 0; shift -= 4)
-        *out++ = canser_text_hex[2 * (frame->id >> shift & 15) + 1];
-    if (frame->ext)
-        *out++ = 'x';
-    out = pad_to_16(out, id);
+    const uint64_t digits = split_hex(frame->id);
+    const unsigned zeros = count_zeros(digits);
+    store_text(out, hex_text(digits, 'A') >> 8 * zeros);
+    out += 8 - zeros;
+    *out = 'x';
+    out = pad_to_16(out + !!frame->ext, id);
     out = direction == CANSER_SENT ? PUT(out, "Tx   ") : PUT(out, "Rx   ");
     *out++ = frame->rtr ? 'r' : 'd';
     *out++ = ' ';
     *out++ = (uint8_t)('0' + frame->dlc);
-    for (size_t i = 0; i < data_len(frame); i++) {
-        *out++ = ' ';
-        out = put_hex(out, frame->data[i]);
-    }
+    out = put_spaced(out, frame->data, data_len(frame), ' ');
     *out++ = '\n';
     return out;
 }

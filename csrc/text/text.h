@@ -300,6 +300,32 @@ CANSER_INLINE uint8_t *put_text(uint8_t *out, const char *text, size_t len)
 
 #define PUT(out, text) put_text(out, text, sizeof(text) - 1)
 
+/* Eight characters, the first one in the lowest byte. */
+CANSER_INLINE void store_text(uint8_t *out, uint64_t text)
+{
+    store_le32(out, (uint32_t)text);
+    store_le32(out + 4, (uint32_t)(text >> 32));
+}
+
+/* Eight decimal digits of a number below 10^8, as numbers from 0 to 9. */
+CANSER_INLINE uint64_t split_digits(uint32_t value)
+{
+    /* Fours are split in twos, and twos in digits, all at once: a multiplication and a shift
+     * divide by 100 up to 43,698, and by 10 up to 178. */
+    const uint64_t fours = value / 10000 | (uint64_t)(value % 10000) << 32,
+                   hundreds = (fours * 10486 >> 20) & UINT64_C(0x7F0000007F),
+                   twos = hundreds | (fours - 100 * hundreds) << 16,
+                   tenths = (twos * 103 >> 10) & UINT64_C(0x000F000F000F000F);
+    return tenths | (twos - 10 * tenths) << 8;
+}
+
+/* How many of eight digits, as numbers, are zeros before the first other one; the last one is
+ * kept. */
+CANSER_INLINE unsigned count_zeros(uint64_t digits)
+{
+    return count_below(((digits + EACH(0x7F)) & EACH(0x80)) | UINT64_C(1) << 63);
+}
+
 /* A number of two, four, six or eight digits, with zeros before it. */
 CANSER_INLINE uint8_t *put_digits(uint8_t *out, uint32_t value, int count)
 {
@@ -308,23 +334,65 @@ CANSER_INLINE uint8_t *put_digits(uint8_t *out, uint32_t value, int count)
     return out + count;
 }
 
-/* A number without zeros before it. */
+/* Eight digits, as numbers, without the zeros before them. Eight bytes are written. */
+CANSER_INLINE uint8_t *put_short(uint8_t *out, uint64_t digits)
+{
+    const unsigned zeros = count_zeros(digits);
+    store_text(out, (digits | EACH('0')) >> 8 * zeros);
+    return out + 8 - zeros;
+}
+
+/* A number without zeros before it. Up to seven bytes more are written. */
 CANSER_INLINE uint8_t *put_number(uint8_t *out, uint64_t value)
 {
-    uint8_t text[20], *p = text + sizeof text;
+    enum { E8 = 100000000 };
 
-    do
-        *--p = (uint8_t)('0' + value % 10);
-    while (value /= 10);
-    const size_t len = (size_t)(text + sizeof text - p);
-    memcpy(out, p, len);
-    return out + len;
+    if (value < 10) {
+        *out = (uint8_t)('0' + value);
+        return out + 1;
+    }
+    if (value < E8)
+        return put_short(out, split_digits((uint32_t)value));
+    const uint64_t high = value / E8;
+    if (high < E8) {
+        out = put_short(out, split_digits((uint32_t)high));
+    } else {
+        out = put_short(out, split_digits((uint32_t)(high / E8)));
+        out = put_digits(out, (uint32_t)(high % E8), 8);
+    }
+    return put_digits(out, (uint32_t)(value % E8), 8);
 }
 
 CANSER_INLINE uint8_t *put_hex(uint8_t *out, uint8_t value)
 {
     memcpy(out, canser_text_hex + 2 * (size_t)value, 2);
     return out + 2;
+}
+
+/* The eight hexadecimal digits of an id, as numbers. */
+CANSER_INLINE uint64_t split_hex(uint32_t value)
+{
+    const uint64_t halves = value >> 16 | (uint64_t)(value & 0xFFFF) << 32,
+                   bytes = (halves >> 8 | halves << 16) & UINT64_C(0x00FF00FF00FF00FF);
+    return (bytes >> 4 | bytes << 8) & EACH(0x0F);
+}
+
+/* Hexadecimal digits as characters, with letters from `letter_a` on. */
+CANSER_INLINE uint64_t hex_text(uint64_t digits, char letter_a)
+{
+    const uint64_t letters = (digits + EACH(6)) >> 4 & EACH(1);
+    return digits + EACH('0') + letters * (uint64_t)(letter_a - '0' - 10);
+}
+
+/* `count` bytes as hexadecimal digits, `gap` before each. All eight are written, without a branch:
+ * the lengths of mixed traffic cannot be guessed. */
+CANSER_INLINE uint8_t *put_spaced(uint8_t *out, const uint8_t *data, size_t count, char gap)
+{
+    for (size_t i = 0; i < DLC_MAX; i++) {
+        out[3 * i] = (uint8_t)gap;
+        put_hex(out + 3 * i + 1, data[i]);
+    }
+    return out + 3 * count;
 }
 
 /* Seconds and a point, or a date and a time of day; the nanoseconds behind are for the caller to

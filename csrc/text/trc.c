@@ -99,16 +99,20 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
     return p && put_frame(row->frame, ts, id, ext, rtr, 0, (size_t)dlc, data) ? p : NULL;
 }
 
-/* A number at the right of a column. */
-CANSER_INLINE uint8_t *put_right(uint8_t *out, uint64_t value, int width)
+/* A number at the right of a column of 7 to 9 characters; a longer one makes it wider. */
+CANSER_INLINE uint8_t *put_right(uint8_t *out, uint64_t value, unsigned width)
 {
-    uint8_t text[20];
-    const int len = (int)(put_number(text, value) - text);
-
-    memset(out, ' ', 16);
-    out += width > len ? width - len : 0;
-    memcpy(out, text, (size_t)len);
-    return out + len;
+    if (value >= tens[width < 8 ? width : 8])
+        return put_number(out, value);
+    const uint64_t digits = split_digits((uint32_t)value), blanks = '0' ^ ' ';
+    const uint64_t text =
+        (digits | EACH('0')) ^ (EACH(blanks) & ~(UINT64_MAX << 8 * count_zeros(digits)));
+    *out = ' ';
+    if (width < 8)
+        store_text(out, text >> 8 * (8 - width));
+    else
+        store_text(out + width - 8, text);
+    return out + width;
 }
 
 static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned channel,
@@ -122,25 +126,16 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
     self->cut_times += ts % 1000 != 0;
     out = put_right(out, ++self->number, 7);
     *out++ = ' ';
-    if (ts < 0)
-        *out++ = '-';
-    out = put_right(out, us / 1000, ts < 0 ? 8 : 9);
+    out = ts < 0 ? put_right(PUT(out, "-"), us / 1000, 8) : put_right(out, us / 1000, 9);
     *out++ = '.';
     *out++ = (uint8_t)('0' + us / 100 % 10);
     out = put_digits(out, (uint32_t)(us % 100), 2);
     out = frame->err ? PUT(out, " ER ") : frame->rtr ? PUT(out, " RR ") : PUT(out, " DT ");
     out = put_number(out, channel == CANSER_NO_CHANNEL ? 1 : channel + 1);
     *out++ = ' ';
-    if (frame->err) {
-        out = PUT(out, "       -");
-    } else if (frame->ext) {
-        for (int shift = 24; shift >= 0; shift -= 8)
-            out = put_hex(out, (uint8_t)(frame->id >> shift));
-    } else {
-        out = PUT(out, "    ");
-        out = put_hex(out, (uint8_t)(frame->id >> 8));
-        out = put_hex(out, (uint8_t)frame->id);
-    }
+    const uint64_t id = hex_text(split_hex(frame->id), 'A');
+    store_text(out, frame->ext ? id : (id & UINT64_MAX << 32) | (EACH(' ') & UINT32_MAX));
+    out = frame->err ? PUT(out, "       -") : out + 8;
     out = direction == CANSER_SENT ? PUT(out, " Tx -  ") : PUT(out, " Rx -  ");
     if (frame->err) {
         self->error_frames++;
@@ -148,11 +143,7 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
     }
     *out++ = (uint8_t)('0' + frame->dlc);
     if (data_len(frame))
-        out = PUT(out, "   ");
-    for (size_t i = 0; i < data_len(frame); i++) {
-        *out++ = ' ';
-        out = put_hex(out, frame->data[i]);
-    }
+        out = put_spaced(PUT(out, "   "), frame->data, data_len(frame), ' ');
     *out++ = '\n';
     return out;
 }
