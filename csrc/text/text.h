@@ -69,21 +69,40 @@ CANSER_INLINE unsigned count_below(uint64_t tops)
 #endif
 }
 
-/* How many of eight characters are digits, from the first one on. A carry out of a byte that is
- * none changes bytes behind it only. */
-CANSER_INLINE unsigned count_digits(uint64_t text)
+/* The top bit of each of eight characters, up to the first one, that is no digit. A carry out of a
+ * byte that is none changes bytes behind it only. */
+CANSER_INLINE uint64_t find_no_digit(uint64_t text)
 {
     const uint64_t digits = text ^ EACH('0');
-    return count_below((digits | (digits + EACH(0x7F - 9))) & EACH(0x80));
+    return (digits | (digits + EACH(0x7F - 9))) & EACH(0x80);
+}
+
+/* How many of eight characters are digits, from the first one on. */
+CANSER_INLINE unsigned count_digits(uint64_t text)
+{
+    return count_below(find_no_digit(text));
+}
+
+/* The top bit of each one, up to the first one, that is no hexadecimal digit. */
+CANSER_INLINE uint64_t find_no_hex(uint64_t text)
+{
+    const uint64_t digits = text ^ EACH('0'), letters = (text | EACH(0x20)) ^ EACH(0x60);
+    const uint64_t no_digit = digits | (digits + EACH(0x7F - 9)),
+                   no_letter = letters | (letters + EACH(0x7F - 6)) | ~(letters + EACH(0x7F));
+    return no_digit & no_letter & EACH(0x80);
 }
 
 /* How many are hexadecimal digits. */
 CANSER_INLINE unsigned count_hex(uint64_t text)
 {
-    const uint64_t digits = text ^ EACH('0'), letters = (text | EACH(0x20)) ^ EACH(0x60);
-    const uint64_t no_digit = digits | (digits + EACH(0x7F - 9)),
-                   no_letter = letters | (letters + EACH(0x7F - 6)) | ~(letters + EACH(0x7F));
-    return count_below(no_digit & no_letter & EACH(0x80));
+    return count_below(find_no_hex(text));
+}
+
+/* How many of eight characters are spaces, from the first one on. */
+CANSER_INLINE unsigned count_spaces(uint64_t text)
+{
+    const uint64_t others = text ^ EACH(' ');
+    return count_below((others | ((others & EACH(0x7F)) + EACH(0x7F))) & EACH(0x80));
 }
 
 /* The number that `count` digits make, 1 to 8. */
@@ -260,18 +279,63 @@ CANSER_INLINE const uint8_t *take_byte(const uint8_t *p, uint8_t *value)
     return p + 1;
 }
 
-/* `count` bytes of one or two hexadecimal digits: any blanks before the first, one before others.
- */
+/* `count` bytes of one or two hexadecimal digits, a blank before each. */
+CANSER_INLINE const uint8_t *take_short_bytes(const uint8_t *p, size_t count, uint8_t *data)
+{
+    for (size_t i = 0; p && i < count; i++)
+        p = is_blank(*p) ? take_byte(p + 1, &data[i]) : NULL;
+    return p;
+}
+
+/* Four pairs of characters, each behind a blank, as eight characters. */
+CANSER_INLINE uint64_t load_pairs(const uint8_t *p)
+{
+    return load_le16(p + 1) | load_le16(p + 4) << 16 | (uint64_t)load_le16(p + 7) << 32 |
+           (uint64_t)load_le16(p + 10) << 48;
+}
+
+/* `count` bytes of hexadecimal digits, up to eight: any blanks before the first, one before each
+ * other one. Behind the bytes of `data` that count lie any. */
 CANSER_INLINE const uint8_t *take_spaced(const uint8_t *p, size_t count, uint8_t *data)
 {
+    /* The characters that count: two digits of each byte, and the blanks before them as they lie
+     * in `blanks`. All are looked at, without a branch: lengths of mixed traffic are not guessed.
+     */
+    static const uint64_t of_digits[2 * DLC_MAX - 3] = {
+        0,          0,          0,          0,
+        0,          0xFFFF,     0xFFFFFFFF, 0xFFFFFFFFFFFF,
+        UINT64_MAX, UINT64_MAX, UINT64_MAX, UINT64_MAX,
+        UINT64_MAX,
+    };
+    static const uint64_t of_blanks[DLC_MAX + 1] = {
+        0,
+        UINT64_C(0x00000000000000FF),
+        UINT64_C(0x00000000FF0000FF),
+        UINT64_C(0x00FF0000FF0000FF),
+        UINT64_C(0x00FF0000FF00FFFF),
+        UINT64_C(0x00FF00FFFF00FFFF),
+        UINT64_C(0xFFFF00FFFF00FFFF),
+        UINT64_C(0xFFFF00FFFFFFFFFF),
+        UINT64_MAX,
+    };
+
     if (count)
         p = take_blanks(p);
-    for (size_t i = 0; p && i < count; i++) {
-        if (i && !is_blank(*p++))
-            return NULL;
-        p = take_byte(p, &data[i]);
+    if (!p)
+        return NULL;
+    p -= count != 0; /* the last one of these blanks */
+    const uint64_t first = load_pairs(p), second = load_pairs(p + 12);
+    const uint64_t blanks = (load_text(p) & UINT64_C(0x00FF0000FF0000FF)) |
+                            (load_text(p + 8) & UINT64_C(0xFF0000FF0000FF00)) |
+                            (load_text(p + 16) & UINT64_C(0x0000FF0000FF0000));
+    if (CANSER_LIKELY(!((find_no_hex(first) & of_digits[count + 4]) |
+                        (find_no_hex(second) & of_digits[count]) |
+                        ((blanks ^ EACH(' ')) & of_blanks[count])))) {
+        store_le32(data, hex_bytes(first));
+        store_le32(data + 4, hex_bytes(second));
+        return p + 3 * count;
     }
-    return p;
+    return take_short_bytes(p, count, data);
 }
 
 /* Store the record of a data, a remote or an error frame; false if it is none of classic CAN. */

@@ -24,8 +24,53 @@ CANSER_INLINE const uint8_t *take_direction(const uint8_t *p, uint8_t *direction
     return p + 2;
 }
 
+/* Whether eight characters are a number behind spaces, up to `spaces_most`. `no_digit` has the top
+ * bit of each character that is no digit. */
+CANSER_INLINE bool is_at_right(uint64_t text, uint64_t no_digit, unsigned spaces_most)
+{
+    const unsigned spaces = count_spaces(text);
+    return spaces <= spaces_most && !(no_digit & UINT64_MAX << 8 * spaces);
+}
+
+/* Read a line of which each column has its usual width, as PCAN-View and canser write it; NULL for
+ * any other one. Where a column lies depends on no column before it, so none waits for another. */
+CANSER_INLINE const uint8_t *read_usual(const uint8_t *p, text_row *row)
+{
+    enum { DOT = 17, KIND = 21, ID = 27, DIRECTION = 35, DATA = 43 };
+    const uint64_t number = load_text(p) << 8 | ' ', whole = load_text(p + DOT - 8),
+                   places = load_text(p + DOT), kind = load_text(p + KIND), id = load_text(p + ID),
+                   rest = load_text(p + DIRECTION);
+    const unsigned bus = (unsigned)(kind >> 32 & 0xFF) - '0', sent = (rest >> 8 & 0xFF) == 'T',
+                   dlc = (unsigned)(rest >> 56) - '0', spaces = count_spaces(id);
+    uint8_t data[DLC_MAX] = {0};
+
+    if (!is_at_right(number, find_no_digit(number), 7) || p[7] != ' ' || p[8] != ' ' ||
+        !is_at_right(whole, find_no_digit(whole), 7) || !is_at_right(id, find_no_hex(id), 4))
+        return NULL;
+    /* ".ddd", " DT b ", and " Rx -  " or " Tx -  ". */
+    if ((places & 0xFF) != '.' || count_digits(places >> 8) != 3 ||
+        (kind & UINT64_C(0xFF00FFFFFFFF)) != UINT64_C(0x200020544420) || bus - 1 > 8 ||
+        (rest & UINT64_C(0xFFFFFFFFFF00FF)) != UINT64_C(0x20202D20780020) ||
+        (!sent && (rest >> 8 & 0xFF) != 'R') || dlc > DLC_MAX)
+        return NULL;
+    p = take_end(take_spaced(p + DATA, dlc, data));
+    if (!p)
+        return NULL;
+    row->channel = (uint8_t)(bus - 1);
+    row->direction = sent ? CANSER_SENT : CANSER_RECEIVED;
+    /* Spaces are zeros to digits_value() and hex_value(). */
+    const int64_t us = (int64_t)digits_value(whole, 8) * 1000 + digits_value(places >> 8, 3);
+    return put_frame(row->frame, us * 1000, hex_value(id, 8), spaces < 4, 0, 0, dlc, data) ? p
+                                                                                           : NULL;
+}
+
 static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
 {
+    if (!memcmp(self->columns, "NOTBIdRLD", 10)) {
+        const uint8_t *const end = read_usual(p, row);
+        if (CANSER_LIKELY(end))
+            return end;
+    }
     uint8_t data[DLC_MAX] = {0};
     uint64_t number, dlc = 0;
     uint32_t id = 0;
