@@ -8,6 +8,7 @@ read() and write().
 
 import csv
 import io
+import os
 import subprocess
 import sys
 import warnings
@@ -264,8 +265,15 @@ def to_parquet(folder: Path, count: int, rounds: int) -> Iterator[LogRow]:
     code = BY_PYARROW.format(source=str(folder / "run.arrow"), target=str(target))
     command = ["-m", "canser", "convert", str(raw), str(made), "-p", "serial", "--force"]
 
+    # Both keep the bytecode of their modules in the warm round, as an installed package has it:
+    # where an environment forbids that, a checkout is compiled at each start.
+    environment = {**os.environ, "PYTHONPYCACHEPREFIX": str(folder / "bytecode")}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+
     def run(*arguments: str) -> None:
-        subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
+        subprocess.run(
+            [sys.executable, *arguments], check=True, capture_output=True, env=environment
+        )
 
     peer_s, our_s, ratio = paired(lambda: run("-c", code), lambda: run(*command), rounds)
     assert (canser.read(target) == canser.read(made)).all()

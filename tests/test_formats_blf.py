@@ -717,8 +717,8 @@ def test_many_damaged_places_take_no_time_that_grows_faster() -> None:
 # ---- isal, which is not needed.
 
 
-def test_isal_inflates_where_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = []
+def test_isal_packs_and_unpacks_where_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, packed = [], []
 
     class Error(Exception):
         """Of isal's own, as there."""
@@ -734,13 +734,19 @@ def test_isal_inflates_where_it_is_installed(monkeypatch: pytest.MonkeyPatch) ->
             except zlib.error as error:
                 raise Error(error) from None
 
+    def compress(data: bytes, level: int) -> bytes:
+        packed.append(zlib.compress(data, level))
+        return packed[-1]
+
     package, module = types.ModuleType("isal"), types.ModuleType("isal.isal_zlib")
+    module.compress = compress  # type: ignore[attr-defined]
     module.decompressobj, module.error = Inflater, Error  # type: ignore[attr-defined]
     package.isal_zlib = module  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "isal", package)
     monkeypatch.setitem(sys.modules, "isal.isal_zlib", module)
     raw, _ = written(TRAFFIC)
     assert len(read_frames(raw)) == len(TRAFFIC)
-    assert len(made) >= 2
+    assert len(made) == len(packed) >= 2
+    assert all(each in raw for each in packed)
     with pytest.raises(FormatError, match="cannot be inflated"):
         read(header() + IN_FILE["no zlib"][0])

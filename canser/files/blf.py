@@ -97,6 +97,7 @@ class Writer:
         self._file = patchable(file)
         self._begin = self._file.tell()
         self._objects = BlfWriter(_CONTAINER_SIZE)
+        self._zlib = _packing()
         self._begun = False
         self._inflated = _HEADER_LEN
         self._file.write(bytes(_HEADER_LEN))
@@ -113,7 +114,7 @@ class Writer:
 
     def _put(self, content: memoryview) -> None:
         """Write a container."""
-        packed = zlib.compress(content, 1)
+        packed = self._zlib.compress(content, 1)
         size = _CONTAINER.size + len(packed)
         header = _CONTAINER.pack(
             _OBJECT, 16, 1, size, _CONTAINER_TYPE, _ZLIB, len(content)
@@ -161,8 +162,8 @@ def _to_system_time(date: dt.datetime) -> tuple[int, ...]:
     )  # fmt: skip
 
 
-def _inflating() -> Any:
-    """Return the module that inflates: isal's, which is faster, or else Python's."""
+def _packing() -> Any:
+    """Return the module that inflates and deflates: isal's, which is faster, or else Python's."""
     try:
         from isal import isal_zlib  # noqa: PLC0415 - where it is installed
     except ImportError:
@@ -176,7 +177,7 @@ class _BlfReader(TaggedReader):
     def __init__(self, source: Input, options: ReadOptions) -> None:
         self._c = BlfReader()
         super().__init__(source, options)
-        self._zlib = _inflating()
+        self._zlib = _packing()
         self._offset = 0  # bytes of the file so far
         self._size = 0  # bytes of the file as its header says
         self._parts: list[bytes] = []  # the inflated bytes of the object that is not whole yet

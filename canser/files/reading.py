@@ -623,7 +623,10 @@ class Blocks(Uncopied, Iterator[FrameArray]):
 
     def _add_epoch(self, block: FrameArray, reader: Reader, name: str) -> None:
         """Add the epoch to the times of a block."""
-        epoch, known = self._options.epoch, block["ts"] != NO_TIME
+        epoch = self._options.epoch
+        if epoch == START and reader.start_ns is None:
+            return
+        known = block["ts"] != NO_TIME
         if not known.any():
             return
         counts_from_1970 = int(block["ts"][known][0]) >= YEAR_2000_NS

@@ -9,7 +9,7 @@ import numpy as np
 
 from canser._core.text import NO_CHANNEL, Codes
 from canser._dates import is_dated
-from canser._frames import FRAME_DTYPE, FrameArray, copy_records, put_records
+from canser._frames import FRAME_DTYPE, FrameArray, put_records
 from canser._input import Input
 from canser.errors import FormatError
 from canser.files.columns import from_batch, load_pyarrow, to_batch
@@ -89,8 +89,9 @@ class BatchWriter:
         self._thread = ThreadPoolExecutor(1, "canser-batches")
         self._packing: Future[None] | None = None  # of the batch before
         self._dated = False
-        self._held: list[Tagged] = []  # frames of the next batch
+        self._held: list[Tagged] = []  # blocks of the next batch
         self._held_count = 0
+        self._room: FrameArray = np.empty(0, FRAME_DTYPE)  # in which their frames lie
 
     def _open(self, schema: Any) -> Any:
         """Begin the file; return what has `write_batch` and `close`."""
@@ -101,19 +102,24 @@ class BatchWriter:
     ) -> None:
         """Append frames."""
         block = Tagged(frames, channels, directions)
-        if len(frames) >= _BATCH:
+        if self._held_count + len(frames) > _BATCH:
             self._flush()
+        if len(frames) >= _BATCH:
             self._write(block)
             return
         # The arrays may be filled again before the batch is written.
-        self._held.append(Tagged(copy_records(frames), _copy(channels), _copy(directions)))
+        if not len(self._room):
+            self._room = np.empty(_BATCH, FRAME_DTYPE)
+        held = self._room[self._held_count :][: len(frames)]
+        put_records(held, frames)
+        self._held.append(Tagged(held, _copy(channels), _copy(directions)))
         self._held_count += len(frames)
-        if self._held_count >= _BATCH:
+        if self._held_count == _BATCH:
             self._flush()
 
     def _flush(self) -> None:
         if self._held_count:
-            self._write(joined(self._held))
+            self._write(joined(self._held, self._room[: self._held_count]))
         self._held, self._held_count = [], 0
 
     def _write(self, block: Tagged) -> None:

@@ -37,9 +37,13 @@ class Tagged(NamedTuple):
         return Tagged(change(self.frames), channels, directions)
 
 
-def joined(blocks: list[Tagged]) -> Tagged:
-    """Return blocks as one, with all channels and directions that are told."""
-    frames = concat([block.frames for block in blocks])
+def joined(blocks: list[Tagged], frames: FrameArray | None = None) -> Tagged:
+    """Return blocks as one, with all channels and directions that are told.
+
+    `frames` are those of all blocks, if they lie in one array already.
+    """
+    if frames is None:
+        frames = concat([block.frames for block in blocks])
 
     def codes(name: str, unknown: int) -> Codes | None:
         parts = [getattr(block, name) for block in blocks]

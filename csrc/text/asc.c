@@ -24,17 +24,42 @@ CANSER_INLINE const uint8_t *take_rest(const uint8_t *p, const uint8_t *line)
     return p && p[0] == 'L' && p[1] == 'e' ? skip_line(p, line) : take_end(p);
 }
 
-static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
+/* What follows the time of a data frame, if each column has its usual width, as Vector's programs
+ * and canser write it: " 1  123x            Rx   d 8"; NULL for any other one. Where a column lies
+ * depends on no column before it, so none waits for another. */
+CANSER_INLINE const uint8_t *take_usual(const uint8_t *p, text_row *row, uint32_t *id,
+                                        unsigned *ext, unsigned *dlc)
 {
-    const uint8_t *const line = p;
-    uint8_t data[DLC_MAX] = {0};
-    uint64_t channel;
-    int64_t ts;
+    enum { ID = 4, KIND = 20, DATA = 28 };
+    const uint64_t head = load_text(p), text = load_text(p + ID), behind = load_text(p + ID + 8),
+                   kind = load_text(p + KIND);
+    const unsigned digits = count_hex(text), channel = (unsigned)(head >> 8 & 0xFF) - '1',
+                   sent = (kind & 0xFF) == 'T';
 
-    if (self->is_decimal)
+    *ext = p[ID + digits] == 'x';
+    *dlc = (unsigned)(kind >> 56) - '0';
+    /* The characters of the id, up to nine, are taken out of its column of 16. */
+    const unsigned len = digits + *ext;
+    const uint64_t blanks = len < 8 ? UINT64_MAX << 8 * len : 0,
+                   more = len > 8 ? UINT64_MAX << 8 : UINT64_MAX;
+    if (!digits || (head & UINT64_C(0xFFFF00FF)) != UINT64_C(0x20200020) || channel > 8 ||
+        ((text ^ EACH(' ')) & blanks) || ((behind ^ EACH(' ')) & more) ||
+        (kind & UINT64_C(0x00FFFFFFFFFFFF00)) != UINT64_C(0x0020642020207800) ||
+        (!sent && (kind & 0xFF) != 'R') || *dlc > DLC_MAX)
         return NULL;
-    p = take_blanks(take_fixed(skip_blanks(p), 9, &ts));
-    p = take_blanks(take_number(p, &channel));
+    row->channel = (uint8_t)channel;
+    row->direction = sent ? CANSER_SENT : CANSER_RECEIVED;
+    *id = hex_value(text, digits);
+    return p + DATA;
+}
+
+/* What follows the time of a data or a remote frame, up to its dlc. */
+CANSER_INLINE const uint8_t *take_tokens(const uint8_t *p, text_row *row, uint32_t *id,
+                                         unsigned *ext, unsigned *rtr, unsigned *dlc)
+{
+    uint64_t channel;
+
+    p = take_blanks(take_number(take_blanks(p), &channel));
     if (!p || channel == 0 || channel > CANSER_NO_CHANNEL)
         return NULL;
     row->channel = (uint8_t)(channel - 1);
@@ -43,8 +68,8 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
     if (!digits)
         return NULL;
     p += digits;
-    const unsigned ext = *p == 'x';
-    p = take_blanks(p + ext);
+    *ext = *p == 'x';
+    p = take_blanks(p + *ext);
     if (!p || p[1] != 'x' || (p[0] != 'R' && p[0] != 'T'))
         return NULL;
     row->direction = *p == 'T' ? CANSER_SENT : CANSER_RECEIVED;
@@ -54,18 +79,36 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
     p = take_blanks(p);
     if (!p || (*p != 'd' && *p != 'r'))
         return NULL;
-    const unsigned rtr = *p == 'r';
+    *rtr = *p == 'r';
     p = take_blanks(p + 1);
     if (!p)
         return NULL;
-    const unsigned dlc = (unsigned)(*p - '0');
-    if (dlc > DLC_MAX)
+    *dlc = (unsigned)(*p - '0');
+    if (*dlc > DLC_MAX)
         return NULL;
-    p++;
+    *id = hex_value(text, digits);
+    return p + 1;
+}
+
+static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
+{
+    const uint8_t *const line = p;
+    uint8_t data[DLC_MAX] = {0};
+    uint32_t id = 0;
+    unsigned ext = 0, rtr = 0, dlc = 0;
+    int64_t ts;
+
+    if (self->is_decimal)
+        return NULL;
+    p = take_fixed(skip_blanks(p), 9, &ts);
+    if (!p)
+        return NULL;
+    const uint8_t *const usual = take_usual(p, row, &id, &ext, &dlc);
+    p = CANSER_LIKELY(usual) ? usual : take_tokens(p, row, &id, &ext, &rtr, &dlc);
     if (!rtr)
         p = take_spaced(p, dlc, data);
     p = take_rest(p, line);
-    if (!p || !put_frame(row->frame, ts, hex_value(text, digits), ext, rtr, 0, dlc, data))
+    if (!p || !put_frame(row->frame, ts, id, ext, rtr, 0, dlc, data))
         return NULL;
     if (self->is_relative)
         row->frame->ts = self->last_ns = (int64_t)((uint64_t)self->last_ns + (uint64_t)ts);
@@ -84,7 +127,6 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
 {
     const bool known = frame->ts != CANSER_NO_TIME;
     uint32_t ns;
-    int shift = 28;
 
     *out++ = ' ';
     out = put_seconds(self, out,
@@ -100,21 +142,17 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
         return PUT(out, "ErrorFrame\n");
     }
     uint8_t *const id = out;
-    while (shift && !(frame->id >> shift))
-        shift -= 4;
-    for (; shift >= 0; shift -= 4)
-        *out++ = canser_text_hex[2 * (frame->id >> shift & 15) + 1];
-    if (frame->ext)
-        *out++ = 'x';
-    out = pad_to_16(out, id);
+    const uint64_t digits = split_hex(frame->id);
+    const unsigned zeros = count_zeros(digits);
+    store_text(out, hex_text(digits, 'A') >> 8 * zeros);
+    out += 8 - zeros;
+    *out = 'x';
+    out = pad_to_16(out + !!frame->ext, id);
     out = direction == CANSER_SENT ? PUT(out, "Tx   ") : PUT(out, "Rx   ");
     *out++ = frame->rtr ? 'r' : 'd';
     *out++ = ' ';
     *out++ = (uint8_t)('0' + frame->dlc);
-    for (size_t i = 0; i < data_len(frame); i++) {
-        *out++ = ' ';
-        out = put_hex(out, frame->data[i]);
-    }
+    out = put_spaced(out, frame->data, data_len(frame), ' ');
     *out++ = '\n';
     return out;
 }

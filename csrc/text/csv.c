@@ -98,29 +98,27 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
     return take_end(p);
 }
 
+/* All eight bytes are written, without a branch, and `count` of them kept. */
 CANSER_INLINE uint8_t *put_base64(uint8_t *out, const uint8_t *data, size_t count)
 {
-    for (size_t at = 0; at < count; at += 3, out += 4) {
-        const uint32_t bits = (uint32_t)data[at] << 16 |
-                              (uint32_t)(at + 1 < DLC_MAX ? data[at + 1] : 0) << 8 |
-                              (at + 2 < DLC_MAX ? data[at + 2] : 0);
-        for (int i = 0; i < 4; i++)
-            out[i] = (uint8_t)characters[bits >> (18 - 6 * i) & 63];
-        if (count - at < 3)
-            out[3] = '=';
-        if (count - at < 2)
-            out[2] = '=';
-    }
-    return out;
+    uint64_t bits = 0;
+
+    for (int i = 0; i < DLC_MAX; i++)
+        bits = bits << 8 | data[i];
+    for (int i = 0; i < 10; i++)
+        out[i] = (uint8_t)characters[bits >> (58 - 6 * i) & 63];
+    out[10] = (uint8_t)characters[bits << 2 & 63];
+    out[11] = '=';
+    /* A character for six bits that were begun; then four are made whole. */
+    memset(out + (8 * count + 5) / 6, '=', 2);
+    return out + (count + 2) / 3 * 4;
 }
 
 static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned channel,
                       unsigned direction, uint8_t *out)
 {
-    static const char lower[] = "0123456789abcdef";
-    uint8_t data[DLC_MAX] = {0};
+    uint8_t data[DLC_MAX];
     uint32_t ns;
-    int shift = 28;
 
     (void)channel, (void)direction;
     if (frame->ts == CANSER_NO_TIME) {
@@ -134,17 +132,18 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
         }
     }
     out = PUT(out, ",0x");
-    while (shift && !(frame->id >> shift))
-        shift -= 4;
-    for (; shift >= 0; shift -= 4)
-        *out++ = (uint8_t)lower[frame->id >> shift & 15];
+    const uint64_t digits = split_hex(frame->id);
+    const unsigned zeros = count_zeros(digits);
+    store_text(out, hex_text(digits, 'a') >> 8 * zeros);
+    out += 8 - zeros;
     const uint8_t fields[] = {
         ',', (uint8_t)('0' + !!frame->ext), ',', (uint8_t)('0' + !!frame->rtr),
         ',', (uint8_t)('0' + !!frame->err), ',', (uint8_t)('0' + frame->dlc)};
     memcpy(out, fields, sizeof fields);
     out += sizeof fields;
     *out++ = ',';
-    memcpy(data, frame->data, data_len(frame));
+    const uint64_t payload = load_payload(frame->data, data_len(frame));
+    memcpy(data, &payload, sizeof data);
     out = put_base64(out, data, data_len(frame));
     *out++ = '\n';
     return out;

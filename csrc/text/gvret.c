@@ -79,18 +79,15 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
         *out++ = '-';
     out = put_number(out, (ts < 0 ? 0 - (uint64_t)ts : (uint64_t)ts) / 1000);
     *out++ = ',';
-    for (int shift = 24; shift >= 0; shift -= 8)
-        out = put_hex(out, (uint8_t)(frame->id >> shift));
+    store_text(out, hex_text(split_hex(frame->id), 'A'));
+    out += 8;
     out = frame->ext ? PUT(out, ",true,") : PUT(out, ",false,");
     out = direction == CANSER_SENT ? PUT(out, "Tx,") : PUT(out, "Rx,");
     out = put_number(out, channel == CANSER_NO_CHANNEL ? 0 : channel);
     *out++ = ',';
     *out++ = (uint8_t)('0' + frame->dlc);
+    out = put_spaced(out, frame->data, frame->dlc, ',');
     *out++ = ',';
-    for (size_t i = 0; i < frame->dlc; i++) {
-        out = put_hex(out, frame->data[i]);
-        *out++ = ',';
-    }
     *out++ = '\n';
     return out;
 }

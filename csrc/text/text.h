@@ -14,11 +14,12 @@
 CANSER_TEXTS(CANSER_DECLARE)
 #undef CANSER_DECLARE
 
-/* The bytes behind the start of a line that may be read, and the longest line as it is written. */
-enum { LINE_WINDOW = 512, LINE_MOST = 160 };
-
 /* The longest run of blanks between two tokens. Programs align columns by up to 40. */
 enum { BLANKS_MOST = 64 };
+
+/* The bytes behind the start of a line that may be read: most for trc, where up to ten runs of
+ * blanks lie between tokens of up to 28 bytes. And the longest line as it is written. */
+enum { LINE_WINDOW = 1024, LINE_MOST = 160 };
 
 /* One frame of a line, and what the record has no field for. */
 typedef struct {
@@ -68,21 +69,40 @@ CANSER_INLINE unsigned count_below(uint64_t tops)
 #endif
 }
 
-/* How many of eight characters are digits, from the first one on. A carry out of a byte that is
- * none changes bytes behind it only. */
-CANSER_INLINE unsigned count_digits(uint64_t text)
+/* The top bit of each of eight characters, up to the first one, that is no digit. A carry out of a
+ * byte that is none changes bytes behind it only. */
+CANSER_INLINE uint64_t find_no_digit(uint64_t text)
 {
     const uint64_t digits = text ^ EACH('0');
-    return count_below((digits | (digits + EACH(0x7F - 9))) & EACH(0x80));
+    return (digits | (digits + EACH(0x7F - 9))) & EACH(0x80);
+}
+
+/* How many of eight characters are digits, from the first one on. */
+CANSER_INLINE unsigned count_digits(uint64_t text)
+{
+    return count_below(find_no_digit(text));
+}
+
+/* The top bit of each one, up to the first one, that is no hexadecimal digit. */
+CANSER_INLINE uint64_t find_no_hex(uint64_t text)
+{
+    const uint64_t digits = text ^ EACH('0'), letters = (text | EACH(0x20)) ^ EACH(0x60);
+    const uint64_t no_digit = digits | (digits + EACH(0x7F - 9)),
+                   no_letter = letters | (letters + EACH(0x7F - 6)) | ~(letters + EACH(0x7F));
+    return no_digit & no_letter & EACH(0x80);
 }
 
 /* How many are hexadecimal digits. */
 CANSER_INLINE unsigned count_hex(uint64_t text)
 {
-    const uint64_t digits = text ^ EACH('0'), letters = (text | EACH(0x20)) ^ EACH(0x60);
-    const uint64_t no_digit = digits | (digits + EACH(0x7F - 9)),
-                   no_letter = letters | (letters + EACH(0x7F - 6)) | ~(letters + EACH(0x7F));
-    return count_below(no_digit & no_letter & EACH(0x80));
+    return count_below(find_no_hex(text));
+}
+
+/* How many of eight characters are spaces, from the first one on. */
+CANSER_INLINE unsigned count_spaces(uint64_t text)
+{
+    const uint64_t others = text ^ EACH(' ');
+    return count_below((others | ((others & EACH(0x7F)) + EACH(0x7F))) & EACH(0x80));
 }
 
 /* The number that `count` digits make, 1 to 8. */
@@ -259,20 +279,63 @@ CANSER_INLINE const uint8_t *take_byte(const uint8_t *p, uint8_t *value)
     return p + 1;
 }
 
-/* `count` bytes of two hexadecimal digits, a blank before each. */
+/* `count` bytes of one or two hexadecimal digits, a blank before each. */
+CANSER_INLINE const uint8_t *take_short_bytes(const uint8_t *p, size_t count, uint8_t *data)
+{
+    for (size_t i = 0; p && i < count; i++)
+        p = is_blank(*p) ? take_byte(p + 1, &data[i]) : NULL;
+    return p;
+}
+
+/* Four pairs of characters, each behind a blank, as eight characters. */
+CANSER_INLINE uint64_t load_pairs(const uint8_t *p)
+{
+    return load_le16(p + 1) | load_le16(p + 4) << 16 | (uint64_t)load_le16(p + 7) << 32 |
+           (uint64_t)load_le16(p + 10) << 48;
+}
+
+/* `count` bytes of hexadecimal digits, up to eight: any blanks before the first, one before each
+ * other one. Behind the bytes of `data` that count lie any. */
 CANSER_INLINE const uint8_t *take_spaced(const uint8_t *p, size_t count, uint8_t *data)
 {
+    /* The characters that count: two digits of each byte, and the blanks before them as they lie
+     * in `blanks`. All are looked at, without a branch: lengths of mixed traffic are not guessed.
+     */
+    static const uint64_t of_digits[2 * DLC_MAX - 3] = {
+        0,          0,          0,          0,
+        0,          0xFFFF,     0xFFFFFFFF, 0xFFFFFFFFFFFF,
+        UINT64_MAX, UINT64_MAX, UINT64_MAX, UINT64_MAX,
+        UINT64_MAX,
+    };
+    static const uint64_t of_blanks[DLC_MAX + 1] = {
+        0,
+        UINT64_C(0x00000000000000FF),
+        UINT64_C(0x00000000FF0000FF),
+        UINT64_C(0x00FF0000FF0000FF),
+        UINT64_C(0x00FF0000FF00FFFF),
+        UINT64_C(0x00FF00FFFF00FFFF),
+        UINT64_C(0xFFFF00FFFF00FFFF),
+        UINT64_C(0xFFFF00FFFFFFFFFF),
+        UINT64_MAX,
+    };
+
+    if (count)
+        p = take_blanks(p);
     if (!p)
         return NULL;
-    for (size_t i = 0; i < count; i++) {
-        const uint8_t *const begin = p[0] == ' ' && !is_blank(p[1]) ? p + 1 : take_blanks(p);
-        if (!begin)
-            return NULL;
-        p = take_byte(begin, &data[i]);
-        if (!p)
-            return NULL;
+    p -= count != 0; /* the last one of these blanks */
+    const uint64_t first = load_pairs(p), second = load_pairs(p + 12);
+    const uint64_t blanks = (load_text(p) & UINT64_C(0x00FF0000FF0000FF)) |
+                            (load_text(p + 8) & UINT64_C(0xFF0000FF0000FF00)) |
+                            (load_text(p + 16) & UINT64_C(0x0000FF0000FF0000));
+    if (CANSER_LIKELY(!((find_no_hex(first) & of_digits[count + 4]) |
+                        (find_no_hex(second) & of_digits[count]) |
+                        ((blanks ^ EACH(' ')) & of_blanks[count])))) {
+        store_le32(data, hex_bytes(first));
+        store_le32(data + 4, hex_bytes(second));
+        return p + 3 * count;
     }
-    return p;
+    return take_short_bytes(p, count, data);
 }
 
 /* Store the record of a data, a remote or an error frame; false if it is none of classic CAN. */
@@ -301,6 +364,32 @@ CANSER_INLINE uint8_t *put_text(uint8_t *out, const char *text, size_t len)
 
 #define PUT(out, text) put_text(out, text, sizeof(text) - 1)
 
+/* Eight characters, the first one in the lowest byte. */
+CANSER_INLINE void store_text(uint8_t *out, uint64_t text)
+{
+    store_le32(out, (uint32_t)text);
+    store_le32(out + 4, (uint32_t)(text >> 32));
+}
+
+/* Eight decimal digits of a number below 10^8, as numbers from 0 to 9. */
+CANSER_INLINE uint64_t split_digits(uint32_t value)
+{
+    /* Fours are split in twos, and twos in digits, all at once: a multiplication and a shift
+     * divide by 100 up to 43,698, and by 10 up to 178. */
+    const uint64_t fours = value / 10000 | (uint64_t)(value % 10000) << 32,
+                   hundreds = (fours * 10486 >> 20) & UINT64_C(0x7F0000007F),
+                   twos = hundreds | (fours - 100 * hundreds) << 16,
+                   tenths = (twos * 103 >> 10) & UINT64_C(0x000F000F000F000F);
+    return tenths | (twos - 10 * tenths) << 8;
+}
+
+/* How many of eight digits, as numbers, are zeros before the first other one; the last one is
+ * kept. */
+CANSER_INLINE unsigned count_zeros(uint64_t digits)
+{
+    return count_below(((digits + EACH(0x7F)) & EACH(0x80)) | UINT64_C(1) << 63);
+}
+
 /* A number of two, four, six or eight digits, with zeros before it. */
 CANSER_INLINE uint8_t *put_digits(uint8_t *out, uint32_t value, int count)
 {
@@ -309,23 +398,65 @@ CANSER_INLINE uint8_t *put_digits(uint8_t *out, uint32_t value, int count)
     return out + count;
 }
 
-/* A number without zeros before it. */
+/* Eight digits, as numbers, without the zeros before them. Eight bytes are written. */
+CANSER_INLINE uint8_t *put_short(uint8_t *out, uint64_t digits)
+{
+    const unsigned zeros = count_zeros(digits);
+    store_text(out, (digits | EACH('0')) >> 8 * zeros);
+    return out + 8 - zeros;
+}
+
+/* A number without zeros before it. Up to seven bytes more are written. */
 CANSER_INLINE uint8_t *put_number(uint8_t *out, uint64_t value)
 {
-    uint8_t text[20], *p = text + sizeof text;
+    enum { E8 = 100000000 };
 
-    do
-        *--p = (uint8_t)('0' + value % 10);
-    while (value /= 10);
-    const size_t len = (size_t)(text + sizeof text - p);
-    memcpy(out, p, len);
-    return out + len;
+    if (value < 10) {
+        *out = (uint8_t)('0' + value);
+        return out + 1;
+    }
+    if (value < E8)
+        return put_short(out, split_digits((uint32_t)value));
+    const uint64_t high = value / E8;
+    if (high < E8) {
+        out = put_short(out, split_digits((uint32_t)high));
+    } else {
+        out = put_short(out, split_digits((uint32_t)(high / E8)));
+        out = put_digits(out, (uint32_t)(high % E8), 8);
+    }
+    return put_digits(out, (uint32_t)(value % E8), 8);
 }
 
 CANSER_INLINE uint8_t *put_hex(uint8_t *out, uint8_t value)
 {
     memcpy(out, canser_text_hex + 2 * (size_t)value, 2);
     return out + 2;
+}
+
+/* The eight hexadecimal digits of an id, as numbers. */
+CANSER_INLINE uint64_t split_hex(uint32_t value)
+{
+    const uint64_t halves = value >> 16 | (uint64_t)(value & 0xFFFF) << 32,
+                   bytes = (halves >> 8 | halves << 16) & UINT64_C(0x00FF00FF00FF00FF);
+    return (bytes >> 4 | bytes << 8) & EACH(0x0F);
+}
+
+/* Hexadecimal digits as characters, with letters from `letter_a` on. */
+CANSER_INLINE uint64_t hex_text(uint64_t digits, char letter_a)
+{
+    const uint64_t letters = (digits + EACH(6)) >> 4 & EACH(1);
+    return digits + EACH('0') + letters * (uint64_t)(letter_a - '0' - 10);
+}
+
+/* `count` bytes as hexadecimal digits, `gap` before each. All eight are written, without a branch:
+ * the lengths of mixed traffic cannot be guessed. */
+CANSER_INLINE uint8_t *put_spaced(uint8_t *out, const uint8_t *data, size_t count, char gap)
+{
+    for (size_t i = 0; i < DLC_MAX; i++) {
+        out[3 * i] = (uint8_t)gap;
+        put_hex(out + 3 * i + 1, data[i]);
+    }
+    return out + 3 * count;
 }
 
 /* Seconds and a point, or a date and a time of day; the nanoseconds behind are for the caller to

@@ -24,8 +24,53 @@ CANSER_INLINE const uint8_t *take_direction(const uint8_t *p, uint8_t *direction
     return p + 2;
 }
 
+/* Whether eight characters are a number behind spaces, up to `spaces_most`. `no_digit` has the top
+ * bit of each character that is no digit. */
+CANSER_INLINE bool is_at_right(uint64_t text, uint64_t no_digit, unsigned spaces_most)
+{
+    const unsigned spaces = count_spaces(text);
+    return spaces <= spaces_most && !(no_digit & UINT64_MAX << 8 * spaces);
+}
+
+/* Read a line of which each column has its usual width, as PCAN-View and canser write it; NULL for
+ * any other one. Where a column lies depends on no column before it, so none waits for another. */
+CANSER_INLINE const uint8_t *read_usual(const uint8_t *p, text_row *row)
+{
+    enum { DOT = 17, KIND = 21, ID = 27, DIRECTION = 35, DATA = 43 };
+    const uint64_t number = load_text(p) << 8 | ' ', whole = load_text(p + DOT - 8),
+                   places = load_text(p + DOT), kind = load_text(p + KIND), id = load_text(p + ID),
+                   rest = load_text(p + DIRECTION);
+    const unsigned bus = (unsigned)(kind >> 32 & 0xFF) - '0', sent = (rest >> 8 & 0xFF) == 'T',
+                   dlc = (unsigned)(rest >> 56) - '0', spaces = count_spaces(id);
+    uint8_t data[DLC_MAX] = {0};
+
+    if (!is_at_right(number, find_no_digit(number), 7) || p[7] != ' ' || p[8] != ' ' ||
+        !is_at_right(whole, find_no_digit(whole), 7) || !is_at_right(id, find_no_hex(id), 4))
+        return NULL;
+    /* ".ddd", " DT b ", and " Rx -  " or " Tx -  ". */
+    if ((places & 0xFF) != '.' || count_digits(places >> 8) != 3 ||
+        (kind & UINT64_C(0xFF00FFFFFFFF)) != UINT64_C(0x200020544420) || bus - 1 > 8 ||
+        (rest & UINT64_C(0xFFFFFFFFFF00FF)) != UINT64_C(0x20202D20780020) ||
+        (!sent && (rest >> 8 & 0xFF) != 'R') || dlc > DLC_MAX)
+        return NULL;
+    p = take_end(take_spaced(p + DATA, dlc, data));
+    if (!p)
+        return NULL;
+    row->channel = (uint8_t)(bus - 1);
+    row->direction = sent ? CANSER_SENT : CANSER_RECEIVED;
+    /* Spaces are zeros to digits_value() and hex_value(). */
+    const int64_t us = (int64_t)digits_value(whole, 8) * 1000 + digits_value(places >> 8, 3);
+    return put_frame(row->frame, us * 1000, hex_value(id, 8), spaces < 4, 0, 0, dlc, data) ? p
+                                                                                           : NULL;
+}
+
 static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
 {
+    if (!memcmp(self->columns, "NOTBIdRLD", 10)) {
+        const uint8_t *const end = read_usual(p, row);
+        if (CANSER_LIKELY(end))
+            return end;
+    }
     uint8_t data[DLC_MAX] = {0};
     uint64_t number, dlc = 0;
     uint32_t id = 0;
@@ -99,16 +144,20 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
     return p && put_frame(row->frame, ts, id, ext, rtr, 0, (size_t)dlc, data) ? p : NULL;
 }
 
-/* A number at the right of a column. */
-CANSER_INLINE uint8_t *put_right(uint8_t *out, uint64_t value, int width)
+/* A number at the right of a column of 7 to 9 characters; a longer one makes it wider. */
+CANSER_INLINE uint8_t *put_right(uint8_t *out, uint64_t value, unsigned width)
 {
-    uint8_t text[20];
-    const int len = (int)(put_number(text, value) - text);
-
-    memset(out, ' ', 16);
-    out += width > len ? width - len : 0;
-    memcpy(out, text, (size_t)len);
-    return out + len;
+    if (value >= tens[width < 8 ? width : 8])
+        return put_number(out, value);
+    const uint64_t digits = split_digits((uint32_t)value), blanks = '0' ^ ' ';
+    const uint64_t text =
+        (digits | EACH('0')) ^ (EACH(blanks) & ~(UINT64_MAX << 8 * count_zeros(digits)));
+    *out = ' ';
+    if (width < 8)
+        store_text(out, text >> 8 * (8 - width));
+    else
+        store_text(out + width - 8, text);
+    return out + width;
 }
 
 static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned channel,
@@ -122,25 +171,16 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
     self->cut_times += ts % 1000 != 0;
     out = put_right(out, ++self->number, 7);
     *out++ = ' ';
-    if (ts < 0)
-        *out++ = '-';
-    out = put_right(out, us / 1000, ts < 0 ? 8 : 9);
+    out = ts < 0 ? put_right(PUT(out, "-"), us / 1000, 8) : put_right(out, us / 1000, 9);
     *out++ = '.';
     *out++ = (uint8_t)('0' + us / 100 % 10);
     out = put_digits(out, (uint32_t)(us % 100), 2);
     out = frame->err ? PUT(out, " ER ") : frame->rtr ? PUT(out, " RR ") : PUT(out, " DT ");
     out = put_number(out, channel == CANSER_NO_CHANNEL ? 1 : channel + 1);
     *out++ = ' ';
-    if (frame->err) {
-        out = PUT(out, "       -");
-    } else if (frame->ext) {
-        for (int shift = 24; shift >= 0; shift -= 8)
-            out = put_hex(out, (uint8_t)(frame->id >> shift));
-    } else {
-        out = PUT(out, "    ");
-        out = put_hex(out, (uint8_t)(frame->id >> 8));
-        out = put_hex(out, (uint8_t)frame->id);
-    }
+    const uint64_t id = hex_text(split_hex(frame->id), 'A');
+    store_text(out, frame->ext ? id : (id & UINT64_MAX << 32) | (EACH(' ') & UINT32_MAX));
+    out = frame->err ? PUT(out, "       -") : out + 8;
     out = direction == CANSER_SENT ? PUT(out, " Tx -  ") : PUT(out, " Rx -  ");
     if (frame->err) {
         self->error_frames++;
@@ -148,11 +188,7 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
     }
     *out++ = (uint8_t)('0' + frame->dlc);
     if (data_len(frame))
-        out = PUT(out, "   ");
-    for (size_t i = 0; i < data_len(frame); i++) {
-        *out++ = ' ';
-        out = put_hex(out, frame->data[i]);
-    }
+        out = put_spaced(PUT(out, "   "), frame->data, data_len(frame), ' ');
     *out++ = '\n';
     return out;
 }

@@ -143,6 +143,37 @@ static void there_and_back(size_t index, size_t round)
     check(valid, "damaged lines", name, round);
 }
 
+/* A line of which each run of blanks is as long as a run may be is read, or left to the caller,
+ * wherever it is cut: no byte behind the cut is looked at. */
+static void long_blanks(size_t index, size_t round)
+{
+    enum { RUN = 63 };
+    const canser_frame frame = random_frame(canser_text_at(index)->name);
+    const uint8_t channel = 0, direction = 1;
+    size_t len, wide_len = 0;
+    const uint8_t *const line = write_text(index, &frame, &channel, &direction, 1, &len);
+    uint8_t wide[TEXT_MAX];
+
+    for (size_t i = 0; i < len; i++) {
+        const size_t run = line[i] == ' ' && (!i || line[i - 1] != ' ') ? RUN : line[i] != ' ';
+        memset(wide + wide_len, line[i], run);
+        wide_len += run;
+    }
+    for (size_t cut = 1; cut <= wide_len; cut++) {
+        canser_text text = new_text(index);
+        canser_frame got;
+        uint8_t codes[2], *const at = out_end - cut;
+        canser_rows rows = {.frames = &got, .channels = codes, .directions = codes + 1};
+
+        rows.frame_cap = 1;
+        memcpy(at, wide, cut);
+        const int status = canser_text_read(&text, at, cut, &rows);
+        const bool same = rows.used == cut && !memcmp(&got, &frame, sizeof got);
+        check(!status && (rows.frame_count ? cut == wide_len && same : !rows.used), "long blanks",
+              text.format->name, round);
+    }
+}
+
 static void mistakes(size_t index)
 {
     canser_text text = new_text(index);
@@ -194,6 +225,8 @@ int main(int argc, char **argv)
         mistakes(index);
         for (size_t round = 0; round < rounds; round++)
             there_and_back(index, round);
+        for (size_t round = 0; round < 20; round++)
+            long_blanks(index, round);
     }
     printf("%llu passed, %llu failed\n", passed, failed);
     return failed != 0;
