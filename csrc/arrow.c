@@ -170,14 +170,25 @@ static void copy(uint8_t *to, const canser_column *from, size_t first, size_t co
     }
 }
 
+CANSER_INLINE uint8_t flags_at(const canser_column *from, size_t row, size_t count)
+{
+    const uint8_t *const p = value_at(from, row);
+    unsigned bits = 0;
+
+    for (size_t k = 0; k < count; k++)
+        bits |= (unsigned)(p[(ptrdiff_t)k * from->stride] != 0) << k;
+    return (uint8_t)bits;
+}
+
 static void copy_flags(uint8_t *to, const canser_column *from, size_t first, size_t count)
 {
-    for (size_t i = 0; i < count; i += 8) {
-        unsigned bits = 0;
-        for (size_t k = 0; k < 8 && i + k < count; k++)
-            bits |= (unsigned)(*value_at(from, first + i + k) != 0) << k;
-        to[(first + i) / 8] = (uint8_t)bits;
-    }
+    const canser_column column = *from; /* which no byte that is written is a part of */
+    size_t i = first;
+
+    for (; i + 8 <= first + count; i += 8)
+        to[i / 8] = flags_at(&column, i, 8);
+    if (i < first + count)
+        to[i / 8] = flags_at(&column, i, first + count - i);
 }
 
 static void copy_texts(table_column *to, const canser_column *from, size_t first, size_t count)
@@ -215,22 +226,34 @@ CANSER_INLINE bool is_null(const canser_column *from, int nulls, size_t row)
     }
 }
 
+/* Set the bits of up to 8 values that are not null; return how many are. */
+CANSER_INLINE unsigned valid_at(uint8_t *to, const canser_column *from, int nulls, size_t row,
+                                size_t count)
+{
+    unsigned bits = 0, null_count = 0;
+
+    for (size_t k = 0; k < count; k++) {
+        const unsigned null = is_null(from, nulls, row + k);
+        bits |= (null ^ 1U) << k;
+        null_count += null;
+    }
+    *to = (uint8_t)bits;
+    return null_count;
+}
+
 CANSER_INLINE void find_nulls(table_column *to, const canser_column *from, int nulls, size_t first,
                               size_t count)
 {
+    const canser_column column = *from;
     uint8_t *const valid = to->valid;
-    int64_t null_count = to->null_count;
+    int64_t null_count = 0;
+    size_t i = first;
 
-    for (size_t i = 0; i < count; i += 8) {
-        unsigned bits = 0;
-        for (size_t k = 0; k < 8 && i + k < count; k++) {
-            const unsigned null = is_null(from, nulls, first + i + k);
-            bits |= (null ^ 1U) << k;
-            null_count += null;
-        }
-        valid[(first + i) / 8] = (uint8_t)bits;
-    }
-    to->null_count = null_count;
+    for (; i + 8 <= first + count; i += 8)
+        null_count += valid_at(valid + i / 8, &column, nulls, i, 8);
+    if (i < first + count)
+        null_count += valid_at(valid + i / 8, &column, nulls, i, first + count - i);
+    to->null_count += null_count;
 }
 
 static void fill(table_column *to, const canser_column *from, size_t first, size_t count)

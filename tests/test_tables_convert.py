@@ -174,6 +174,17 @@ def test_what_is_not_known_is_null() -> None:
     assert dated["last_ns"].view(np.int64).tolist() == [EPOCH + 7]
 
 
+@pytest.mark.parametrize("times", [(0, 1, NO_TIME), (EPOCH, EPOCH + 1, NO_TIME)])
+def test_columns_of_arrow_within_pandas_are_read(times: tuple[int, ...]) -> None:
+    pd, pa = pytest.importorskip("pandas"), pytest.importorskip("pyarrow")
+    frames = timed(*times)
+    channels = np.array([0, 1, 255], np.uint8)
+    source = pa.table(canser.table(frames, channels=channels)).to_pandas(types_mapper=pd.ArrowDtype)
+    got = np.zeros(3, np.uint8)
+    assert listed(canser.from_pandas(source, channels=got)) == listed(frames)
+    assert got.tolist() == channels.tolist()
+
+
 def test_duckdb_takes_a_table() -> None:
     duckdb = pytest.importorskip("duckdb")
     frames = vehicle(2)

@@ -17,6 +17,13 @@ _DEFAULTS: Final = {"ts": NO_TIME, "channel": NO_CHANNEL, "sent": 0, "rtr": 0, "
 
 _DATA_LEN: Final = 8
 
+# Frames with their data as one number, and what stays of it by the number of bytes.
+_WORDS: Final = np.dtype([("head", np.uint64), ("data", np.uint64), ("ts", np.int64)])
+_KEPT: Final = np.frombuffer(
+    b"".join(bytes([255] * kept).ljust(_DATA_LEN, b"\0") for kept in range(_DATA_LEN + 1)),
+    np.uint64,
+)
+
 _Codes = npt.NDArray[np.uint8]
 
 
@@ -48,7 +55,8 @@ def build_frames(columns: Mapping[str, Any], count: int) -> tuple[FrameArray, _C
     data = np.asarray(columns["data"])
     if data.shape[1:] != (_DATA_LEN,) and count:
         raise ValueError(f"data has the shape {data.shape}; it must be ({count}, {_DATA_LEN})")
-    frames["data"] = data.reshape(count, _DATA_LEN)
+    whole = np.ascontiguousarray(data.reshape(count, _DATA_LEN), np.uint8)
+    frames.view(_WORDS)["data"] = whole.view(np.uint64)[:, 0]
     _check(frames)
     channels, sent = (
         _fitted(columns[name], np.dtype(np.uint8), name)
@@ -86,8 +94,8 @@ def _check(frames: FrameArray) -> None:
         row = frames[index]
         reason = reason_invalid(int(row["id"]), bool(row["ext"]), int(row["dlc"]))
         raise RowError(int(index), reason or "")
-    length = np.where(frames["rtr"], 0, frames["dlc"])
-    frames["data"][np.arange(_DATA_LEN) >= length[:, None]] = 0
+    lengths = np.where(frames["rtr"], 0, frames["dlc"])
+    frames.view(_WORDS)["data"] &= _KEPT[lengths]
 
 
 def plain_columns(

@@ -311,8 +311,12 @@ def from_pandas(
 def _numpy(series: Any, title: str, name: str) -> npt.NDArray[Any]:
     """Return a column of pandas as numpy has it."""
     if name == "ts":
-        if getattr(series.dt, "tz", None) is not None:
-            series = series.dt.tz_convert("UTC").dt.tz_localize(None)
+        # numpy's types, and those of pyarrow within pandas.
+        kind = str(series.dtype)
+        if kind.startswith(("datetime", "timestamp")):
+            return np.asarray(series.to_numpy("datetime64[ns]"))
+        if kind.startswith(("timedelta", "duration")):
+            return np.asarray(series.to_numpy("timedelta64[ns]"))
     elif series.isna().any():
         if name not in ("channel", "sent"):
             raise ValueError(f"{title} is null")
