@@ -110,7 +110,7 @@ def test_what_other_programs_wrote_is_read_if_it_has_the_columns(tmp_path: Path)
     wrong = {
         "no column id, dlc; canser reads the columns ts, channel": {"id": None, "dlc": None},
         "frame 1: the id 0x800 is over 0x7ff": {"id": pa.array([1, 0x800])},
-        "a column is not as canser writes it: dlc is null": {"dlc": pa.array([1, None])},
+        "frame 1: dlc is null": {"dlc": pa.array([1, None])},
         "a column is not as canser writes it: ": {"data": ["text", "more"]},
     }
     for message, change in wrong.items():

@@ -297,8 +297,8 @@ def test_a_row_that_is_no_frame_is_named() -> None:
         canser.from_arrow(with_column("id", pa.array([-1, 1])))
     with pytest.raises(ValueError, match=r"row 1: dlc is 1\.5"):
         canser.from_arrow(with_column("dlc", pa.array([1.0, 1.5])))
-    with pytest.raises(ValueError, match="id is null"):
-        canser.from_arrow(with_column("id", pa.array([None, 1])))
+    with pytest.raises(ValueError, match="row 1: id is null"):
+        canser.from_arrow(with_column("id", pa.array([1, None])))
     with pytest.raises(ValueError, match="no column dlc, data"):
         canser.from_arrow(good.select(["id", "ext"]))
     with pytest.raises(ValueError, match="values of another type"):
@@ -322,3 +322,197 @@ def test_an_empty_table_has_no_frames() -> None:
     for package, name in PACKAGES.items():
         pytest.importorskip(name)
         assert len(back(package, there(package, array()))) == 0
+
+
+# ---- Tables that other programs made: nothing becomes another value in silence.
+
+
+def of_others(**columns: Any) -> dict[str, Any]:
+    """Return the columns of three frames, but for these."""
+    right = {"id": [1, 2, 3], "ext": [False] * 3, "dlc": [1] * 3, "data": [b"\1"] * 3}
+    return right | columns
+
+
+def read_by(package: str, **columns: Any) -> tuple[canser.FrameArray, list[int], list[int]]:
+    """Return frames, channels and directions of a table of pyarrow or pandas."""
+    module = pytest.importorskip(PACKAGES[package])
+    make = module.table if package == "arrow" else module.DataFrame
+    channels, directions = np.zeros(3, np.uint8), np.zeros(3, np.uint8)
+    frames = back(package, make(of_others(**columns)), channels=channels, directions=directions)
+    return frames, channels.tolist(), directions.tolist()
+
+
+by_both = pytest.mark.parametrize("package", ["arrow", "pandas"])
+
+
+@by_both
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"ext": [0, 2, 1]}, "row 1: ext is 2; it must be 0 or 1"),
+        ({"rtr": [0.0, 0.5, 1.0]}, "row 1: rtr is 0.5; it must be 0 or 1"),
+        ({"ext": ["false"] * 3}, "ext has values of the type|invalid literal"),
+        ({"sent": [0, 3, 0]}, "row 1: sent is 3; it must be 0 or 1"),
+        ({"id": [True] * 3}, "id has values of the type bool, which do not fit"),
+        ({"dlc": [1, 2, 1]}, "row 1: data has 1 bytes, fewer than its dlc; correct the dlc"),
+        ({"data": [b"\1" * 9] * 3}, "row 0: data has 9 bytes; classic CAN has up to 8"),
+        ({"data": [b"\1", None, b"\1"]}, "row 1: data is null"),
+        ({"err": [True, None, False]}, "row 1: err is null"),
+        ({"ts": [1.0, 2.0, 3.0]}, "times have the type double|ts has values of the type float64"),
+        ({"data": [[300]] * 3}, "data is .300., which is no bytes"),
+    ],
+)
+def test_what_would_be_another_value_is_refused(
+    package: str, columns: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        read_by(package, **columns)
+
+
+@by_both
+def test_a_time_that_does_not_fit_is_refused(package: str) -> None:
+    far = np.array(["2500-01-01"] * 3, "M8[s]")
+    with pytest.raises(ValueError, match=r"out of bounds|row 0: ts is 2500"):
+        read_by(package, ts=far)
+    ok = np.array(["2262-01-01", "NaT", "1700-01-01"], "M8[s]")
+    assert read_by(package, ts=ok)[0]["ts"].tolist() == ok.astype("M8[ns]").view(np.int64).tolist()
+
+
+def test_variables_of_xarray_are_checked() -> None:
+    xr = pytest.importorskip("xarray")
+    right = {"id": ("row", [1]), "ext": ("row", [False]), "dlc": ("row", [8])}
+    data = ("row", "byte"), np.full((1, 8), 300)
+    with pytest.raises(ValueError, match="row 0: data is 300; it must be a whole number up to 255"):
+        canser.from_xarray(xr.Dataset({**right, "data": data}))
+    data = ("row", "byte"), np.zeros((1, 8), np.uint8)
+    far = "row", np.array(["2500-01-01"], "M8[s]")
+    # Old releases of xarray have nanoseconds only, and refuse the date by themselves.
+    with pytest.raises(ValueError, match=r"row 0: ts is 2500|Could not convert"):
+        canser.from_xarray(xr.Dataset({**right, "data": data, "ts": far}))
+    rows = np.zeros(2, [("a", "u1", (3,)), ("b", "u1", (8,))])
+    assert dict(canser.to_xarray(rows).sizes) == {"row": 2, "a_byte": 3, "byte": 8}
+
+
+@by_both
+def test_numbers_stand_for_flags_and_integers_for_times(package: str) -> None:
+    frames, channels, directions = read_by(
+        package,
+        ts=[1, 2, 3],
+        ext=[1, 0, 1],
+        rtr=[0.0, 1.0, 0.0],
+        channel=[0, 7, 254],
+        sent=[1, 0, 1],
+    )
+    assert frames["ts"].tolist() == [1, 2, 3]
+    assert frames["ext"].tolist() == [True, False, True]
+    assert frames["rtr"].tolist() == [False, True, False]
+    assert frames["data"][:, 0].tolist() == [1, 0, 1]
+    assert (channels, directions) == ([0, 7, 254], [1, 0, 1])
+
+
+def test_nulls_of_narrow_integers_and_numbers_turned_round() -> None:
+    pa = pytest.importorskip("pyarrow")
+    narrow = pa.array([1, None, 2], pa.int8())
+    assert read_by("arrow", channel=narrow, sent=pa.array([1, None, 0], pa.uint8()))[1:] == (
+        [1, 255, 2],
+        [1, 0, 0],
+    )
+    by_python_can = pa.table(
+        {
+            "arbitration_id": [1, 2, 3],
+            "is_extended_id": [False] * 3,
+            "dlc": [0] * 3,
+            "data": [b""] * 3,
+            "is_rx": [0, 1, None],
+        }
+    )
+    directions = np.zeros(3, np.uint8)
+    canser.from_arrow(by_python_can, directions=directions)
+    assert directions.tolist() == [1, 0, 0]
+
+
+@pytest.mark.parametrize("kind", ["binary", "large_binary", "binary_view", "list_", "large_list"])
+def test_data_may_be_as_long_as_the_dlc(kind: str) -> None:
+    pa = pytest.importorskip("pyarrow")
+    values = [b"\1\2", b"", b"12345678"]
+    if "list" in kind:
+        data = pa.array([list(each) for each in values], getattr(pa, kind)(pa.uint8()))
+    else:
+        data = pa.array(values, getattr(pa, kind)())
+    frames = read_by("arrow", data=data, dlc=[2, 0, 8])[0]
+    assert [bytes(each) for each in frames["data"]] == [each.ljust(8, b"\0") for each in values]
+
+
+def test_polars_tables_of_others() -> None:
+    pl = pytest.importorskip("polars")
+    frames = back("polars", pl.DataFrame(of_others()))
+    assert frames["data"][:, :2].tolist() == [[1, 0]] * 3
+
+
+def test_pandas_tables_of_arrow() -> None:
+    pd = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    frames = vehicle(1)[:100]
+    frames["ts"][3] = NO_TIME
+    for names in NAMES:
+        table = canser.to_arrow(
+            frames, names=names, channels=np.full(100, 2, np.uint8), directions=frames["dlc"] % 2
+        )
+        directions = np.zeros(100, np.uint8)
+        held = table.to_pandas(types_mapper=pd.ArrowDtype)
+        assert np.array_equal(canser.from_pandas(held, directions=directions), frames)
+        assert np.array_equal(directions, frames["dlc"] % 2)
+
+
+def test_durations_come_back_from_duckdb() -> None:
+    duckdb = pytest.importorskip("duckdb")
+    pytest.importorskip("pyarrow")
+    frames = vehicle(1)
+    frames["ts"] //= 1000
+    frames["ts"] *= 1000  # duckdb has no more than microseconds
+    frames["ts"][7] = NO_TIME
+    named = canser.table(frames)
+    assert len(named) == len(frames)
+    assert np.array_equal(canser.from_arrow(duckdb.sql("select * from named")), frames)
+    months = duckdb.sql("select * replace (to_months(1) as ts) from named")
+    with pytest.raises(ValueError, match="a time has months, which have no fixed length"):
+        canser.from_arrow(months)
+
+
+def test_columns_are_there_once_and_streams_hold_tables() -> None:
+    pa = pytest.importorskip("pyarrow")
+    twice = pa.table(of_others()).append_column("id", pa.array([9, 9, 9]))
+    with pytest.raises(ValueError, match="there are 2 columns id; leave one"):
+        canser.from_arrow(twice)
+    with pytest.raises(TypeError, match="source must be a table of Arrow: "):
+        canser.from_arrow(pa.chunked_array([[1, 2]]))
+
+
+# ---- Tables of rows and times that are seldom.
+
+
+def test_an_epoch_is_never_ignored_and_never_wraps() -> None:
+    start = datetime(1970, 1, 1, tzinfo=UTC)
+    assert canser.table(timed(0, 5), epoch=start)["ts"].dtype == "M8[ns]"
+    late, early = 2**63 - 1, NO_TIME + 1
+    with pytest.raises(ValueError, match=rf"the time {late} ns and the epoch 2026.* more than 64"):
+        canser.table(timed(0, late), epoch=datetime(2026, 1, 1, tzinfo=UTC))
+    with pytest.raises(ValueError, match=rf"the time {early} ns and the epoch 1900.* more than 64"):
+        canser.table(timed(0, early), epoch=datetime(1900, 1, 1, tzinfo=UTC))
+
+
+def test_an_id_over_three_digits_is_not_cut() -> None:
+    frames = array(Frame(0x123))
+    frames = canser.concat([frames])
+    frames["id"] = 0x1234
+    assert canser.table(frames, id_hex=True)["id_hex"].tolist() == ["00001234"]
+    with pytest.raises(TypeError, match="id_hex is 'no'; it must be True or False"):
+        canser.table(frames, id_hex="no")  # type: ignore[arg-type]
+
+
+def test_numbers_of_other_machines_and_text_are_what_they_were() -> None:
+    pa = pytest.importorskip("pyarrow")
+    swapped = np.array([(5,), (-5,)], [("n", ">i4")])
+    assert pa.table(canser.table(swapped))["n"].to_pylist() == [5, -5]
+    with pytest.raises(ValueError, match="the field x is no UTF-8"):
+        canser.table(np.array([(b"\xff",)], [("x", "S2")]))

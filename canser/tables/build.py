@@ -10,7 +10,7 @@ from canser._core.text import NO_CHANNEL, SENT
 from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, reason_invalid
 from canser.tables.names import NATIVE, RECEIVED_TITLE
 
-__all__ = ["RowError", "build_frames", "missing_columns", "plain_columns"]
+__all__ = ["RowError", "build_frames", "inverted", "missing_columns", "plain_columns"]
 
 # Columns that a table need not have, with their values then.
 _DEFAULTS: Final = {"ts": NO_TIME, "channel": NO_CHANNEL, "sent": 0, "rtr": 0, "err": 0}
@@ -43,8 +43,8 @@ def missing_columns(have: Collection[str]) -> list[str]:
 def build_frames(columns: Mapping[str, Any], count: int) -> tuple[FrameArray, _Codes, _Codes]:
     """Return frames, channels and directions from native columns, as arrays of `count` values.
 
-    `ts` is nanoseconds, and `data` has the shape (n, 8). RowError, or ValueError for a value that
-    does not fit.
+    `ts` is nanoseconds. `data` has the shape (n, 8), or is n objects, bytes or lists. RowError, or
+    ValueError for a value that does not fit.
     """
     frames = np.zeros(count, FRAME_DTYPE)
     for name in ("id", "ext", "rtr", "err", "dlc", "ts"):
@@ -53,6 +53,9 @@ def build_frames(columns: Mapping[str, Any], count: int) -> tuple[FrameArray, _C
         elif name in _DEFAULTS:
             frames[name] = _DEFAULTS[name]
     data = np.asarray(columns["data"])
+    if data.dtype == object:
+        data = _joined(data, np.where(frames["rtr"], 0, frames["dlc"]))
+    data = _fitted(data, np.dtype(np.uint8), "data")
     if data.shape[1:] != (_DATA_LEN,) and count:
         raise ValueError(f"data has the shape {data.shape}; it must be ({count}, {_DATA_LEN})")
     whole = np.ascontiguousarray(data.reshape(count, _DATA_LEN), np.uint8)
@@ -64,6 +67,7 @@ def build_frames(columns: Mapping[str, Any], count: int) -> tuple[FrameArray, _C
         else np.full(count, _DEFAULTS[name], np.uint8)
         for name in ("channel", "sent")
     )
+    _refuse(sent > 1, sent, "sent", "it must be 0 or 1")
     return frames, channels, np.where(sent != 0, SENT, 0).astype(np.uint8)
 
 
@@ -71,20 +75,36 @@ def _fitted(values: Any, dtype: np.dtype[Any], name: str) -> npt.NDArray[Any]:
     """Return values as a dtype; RowError for one that it cannot hold."""
     values = np.asarray(values)
     fitted: npt.NDArray[Any]
-    if values.dtype == dtype or dtype.kind == "b":
-        fitted = values.astype(dtype, copy=False)
+    if values.dtype == dtype:
+        fitted = values
         return fitted
-    if values.dtype.kind not in "biuf":
-        raise ValueError(f"{name} has values of the type {values.dtype}, which are no numbers")
-    limits = np.iinfo(dtype)
-    fits = (values >= limits.min) & (values <= limits.max)
-    if values.dtype.kind == "f":
-        fits &= values == np.rint(values)
-    for index in np.flatnonzero(~fits)[:1]:
-        text = f"{name} is {values[index]}; it must be a whole number up to {limits.max:,}"
-        raise RowError(int(index), text)
+    kind = values.dtype.kind
+    # Floats of times may be seconds, and bool of an id or a dlc is another column.
+    if kind not in ("iu" if name == "ts" else "biuf" if name == "sent" else "iuf"):
+        raise ValueError(f"{name} has values of the type {values.dtype}, which do not fit")
+    if dtype.kind == "b":
+        _refuse((values != 0) & (values != 1), values, name, "it must be 0 or 1")
+    elif kind != "b":
+        limits = np.iinfo(dtype)
+        fits = (values >= limits.min) & (values <= limits.max)
+        if kind == "f":
+            fits &= values == np.rint(values)
+        _refuse(~fits, values, name, f"it must be a whole number up to {limits.max:,}")
     fitted = values.astype(dtype)
     return fitted
+
+
+def _refuse(wrong: npt.NDArray[np.bool_], values: npt.NDArray[Any], name: str, why: str) -> None:
+    """Raise RowError for the first value that is wrong; `values` may have several in a row."""
+    for place in np.argwhere(wrong)[:1]:
+        raise RowError(int(place[0]), f"{name} is {values[tuple(place)]}; {why}")
+
+
+def inverted(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return bool, or the numbers 0 and 1, turned round; other numbers stay, to be refused."""
+    if values.dtype == np.bool_:
+        return ~values
+    return np.where(values == 0, 1, np.where(values == 1, 0, values))
 
 
 def _check(frames: FrameArray) -> None:
@@ -101,30 +121,47 @@ def _check(frames: FrameArray) -> None:
 def plain_columns(
     columns: Mapping[str, Any], titles: Mapping[str, str]
 ) -> dict[str, npt.NDArray[Any]]:
-    """Return numpy's columns as `build_frames` takes them: times as nanoseconds, data as bytes.
+    """Return numpy's columns as `build_frames` takes them: times as nanoseconds.
 
     `titles`: the native names by the names that the table has.
     """
     plain = {name: np.asarray(values) for name, values in columns.items()}
     if "ts" in plain and plain["ts"].dtype.kind in "mM":
-        unit = f"{plain['ts'].dtype.kind}8[ns]"
-        plain["ts"] = plain["ts"].astype(unit).view(np.int64)
+        plain["ts"] = _nanoseconds(plain["ts"])
     if RECEIVED_TITLE in titles:
-        plain["sent"] = ~plain["sent"].astype(np.bool_)
-    if plain["data"].dtype == object:
-        plain["data"] = _joined(plain["data"])
+        plain["sent"] = inverted(plain["sent"])
     return plain
 
 
-def _joined(rows: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    """Return bytes, or lists of numbers, as an array of shape (n, 8)."""
+def _nanoseconds(times: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
+    """Return times of any unit in nanoseconds; numpy would let those that do not fit wrap."""
+    whole = times.astype(f"{times.dtype.kind}8[ns]")
+    same = whole.astype(times.dtype) == times
+    _refuse(~(np.isnat(times) | same), times, "ts", "it is more than 64 bits of ns")
+    return whole.view(np.int64)
+
+
+def _joined(rows: npt.NDArray[Any], lengths: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """Return bytes, or lists of numbers, as an array of shape (n, 8).
+
+    RowError for one that is shorter than the length that its frame has.
+    """
+    objects = rows.tolist()
+    if all(type(row) is bytes and len(row) == _DATA_LEN for row in objects):
+        return np.frombuffer(b"".join(objects), np.uint8).reshape(-1, _DATA_LEN)
     parts = []
-    for index, row in enumerate(rows):
+    for index, (row, length) in enumerate(zip(objects, lengths.tolist(), strict=True)):
         try:
+            if isinstance(row, (int, np.integer)):
+                raise TypeError  # bytes(5) are five zeros
             part = bytes(row)
         except (TypeError, ValueError):
             raise RowError(index, f"data is {row!r}, which is no bytes") from None
         if len(part) > _DATA_LEN:
             raise RowError(index, f"data has {len(part)} bytes; classic CAN has up to 8")
+        if len(part) < length:
+            raise RowError(
+                index, f"data has {len(part)} bytes, fewer than its dlc; correct the dlc"
+            )
         parts.append(part.ljust(_DATA_LEN, b"\0"))
     return np.frombuffer(b"".join(parts), np.uint8).reshape(-1, _DATA_LEN)

@@ -10,7 +10,13 @@ from canser._checks import type_name
 from canser._core.text import NO_CHANNEL, Codes
 from canser._frames import FrameArray
 from canser.tables.arrow import arrow_columns
-from canser.tables.build import build_frames, missing_columns, plain_columns
+from canser.tables.build import (
+    RowError,
+    build_frames,
+    inverted,
+    missing_columns,
+    plain_columns,
+)
 from canser.tables.names import NATIVE, RECEIVED_TITLE, names_in
 from canser.tables.table import Table, table
 
@@ -138,7 +144,7 @@ def _series(pd: Any, made: Table, name: str, values: npt.NDArray[Any]) -> Any:
         return pd.DatetimeIndex(values).tz_localize("UTC")
     if values.ndim == 2:
         is_binary = made.format(name).startswith("w:")
-        return [row.tobytes() for row in values] if is_binary else values.tolist()
+        return values.view(f"V{values.shape[1]}")[:, 0].tolist() if is_binary else values.tolist()
     null = ~made.valid(name)
     if null.any() and values.dtype.kind == "u":
         return pd.arrays.IntegerArray(values, null)
@@ -182,7 +188,8 @@ def to_xarray(records: _Records, **options: Any) -> Any:
     for name, values in made.own().items():
         if values.dtype.kind == "b" and not made.valid(name).all():
             continue
-        variables[name] = (("row", "byte")[: values.ndim], values)
+        byte = "byte" if values.shape[1:] == (8,) else f"{name}_byte"
+        variables[name] = (("row", byte)[: values.ndim], values)
     return xr.Dataset(variables)
 
 
@@ -223,13 +230,17 @@ def from_arrow(
     pa = _load("pyarrow")
     if not hasattr(source, "__arrow_c_stream__"):
         raise TypeError(f"source must be a table of Arrow, not {type_name(source)}")
-    whole = pa.table(source)
+    try:
+        whole = pa.table(source)
+    except pa.ArrowInvalid as error:
+        reason = str(error).partition("\n")[0]
+        raise TypeError(f"source must be a table of Arrow: {reason}") from None
     titles = _titles(whole.schema.names)
     parts = whole.combine_chunks().to_batches()
     batch = parts[0] if parts else pa.RecordBatch.from_pylist([], whole.schema)
     try:
         columns = arrow_columns(pa, batch, titles)
-    except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
+    except (pa.ArrowInvalid, pa.ArrowNotImplementedError, pa.ArrowTypeError) as error:
         reason = str(error).partition("\n")[0]
         raise ValueError(f"a column has values of another type: {reason}") from None
     return _built(columns, len(whole), channels, directions)
@@ -310,16 +321,17 @@ def from_pandas(
 
 def _numpy(series: Any, title: str, name: str) -> npt.NDArray[Any]:
     """Return a column of pandas as numpy has it."""
+    if hasattr(series.dtype, "pyarrow_dtype"):
+        pa = _load("pyarrow")
+        batch = pa.table({title: series.array.__arrow_array__()}).combine_chunks().to_batches()
+        found = arrow_columns(pa, batch[0], {title: name})[name] if batch else np.zeros(0)
+        return inverted(found) if title == RECEIVED_TITLE else found
     if name == "ts":
-        # numpy's types, and those of pyarrow within pandas.
-        kind = str(series.dtype)
-        if kind.startswith(("datetime", "timestamp")):
-            return np.asarray(series.to_numpy("datetime64[ns]"))
-        if kind.startswith(("timedelta", "duration")):
-            return np.asarray(series.to_numpy("timedelta64[ns]"))
+        if getattr(series.dtype, "tz", None) is not None:
+            series = series.dt.tz_convert("UTC").dt.tz_localize(None)
     elif series.isna().any():
         if name not in ("channel", "sent"):
-            raise ValueError(f"{title} is null")
+            raise RowError(int(np.argmax(series.isna())), f"{title} is null")
         series = series.fillna(NO_CHANNEL if name == "channel" else title == RECEIVED_TITLE)
     values: npt.NDArray[Any] = series.to_numpy()
     if values.dtype == object and name != "data":
@@ -367,6 +379,9 @@ def from_xarray(
 def _titles(have: list[str]) -> dict[str, str]:
     """Return the native names of the columns that are read; ValueError if one is missing."""
     titles = names_in(have)
+    for title in titles:
+        if have.count(title) > 1:
+            raise ValueError(f"there are {have.count(title)} columns {title}; leave one")
     missing = missing_columns(titles.values())
     if missing:
         raise ValueError(

@@ -38,6 +38,8 @@ def record_columns(records: npt.NDArray[np.void], *, as_list: bool) -> list[Colu
 
 
 def _column(name: str, values: npt.NDArray[Any], as_list: bool) -> Column:
+    if not values.dtype.isnative:
+        values = values.astype(values.dtype.newbyteorder("="))
     kind = values.dtype.kind
     code = f"{kind}{values.itemsize}"
     column = None
@@ -47,7 +49,7 @@ def _column(name: str, values: npt.NDArray[Any], as_list: bool) -> Column:
     elif values.ndim == 1 and kind == "b":
         column = Column(name, "b", values, FLAGS)
     elif values.ndim == 1 and kind in "US":
-        texts = values if kind == "S" else np.char.encode(values, "utf-8")
+        texts = _utf8(name, values)
         column = Column(name, "U", texts if texts.itemsize else texts.astype("S1"), TEXT)
     elif values.ndim == 1 and code in _FORMATS:
         column = Column(name, _FORMATS[code], values, nulls=_NULLS.get(code, NULLS_NONE))
@@ -59,6 +61,17 @@ def _column(name: str, values: npt.NDArray[Any], as_list: bool) -> Column:
         dtype = values.dtype
         raise TypeError(f"the field {name} has the dtype {dtype}, for which there is no column")
     return column
+
+
+def _utf8(name: str, values: npt.NDArray[Any]) -> npt.NDArray[np.bytes_]:
+    """Return text as UTF-8, which the takers of a table rely on."""
+    try:
+        if values.dtype.kind == "U":
+            return np.char.encode(values, "utf-8")
+        np.char.decode(values, "utf-8")
+    except UnicodeError as error:
+        raise ValueError(f"the field {name} is no UTF-8: {error}; decode it first") from None
+    return values
 
 
 def _time_format(values: npt.NDArray[np.int64]) -> str:

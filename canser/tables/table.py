@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from canser._checks import type_name
+from canser._checks import flag, type_name
 from canser._core.arrow import (
     FLAGS,
     LIST,
@@ -223,6 +223,7 @@ def table(
     [1, 1]
     """
     check_choice("data", data, ("binary", "list"))
+    flag(id_hex, "id_hex")
     titles = names_of(names)
     if getattr(records, "dtype", None) != FRAME_DTYPE:
         options = channels, directions, epoch, id_hex or None, None if names == "native" else names
@@ -232,7 +233,7 @@ def table(
         if codes is not None:
             check_codes(codes, name, records)
     start = 0 if epoch is None else _start(records, epoch)
-    dated = start != 0 or is_dated(records)
+    dated = epoch is not None or is_dated(records)
     columns = _frame_columns(records, channels, directions, dated=dated, start=start)
     if names == "python-can" and directions is not None:
         columns[2] = columns[2]._replace(values=directions != SENT)
@@ -302,7 +303,15 @@ def _start(frames: FrameArray, epoch: Any) -> int:
         raise TypeError(f"epoch must be a datetime, not {type_name(epoch)}")
     if is_dated(frames):
         raise ValueError("the times of the frames are dates already; leave epoch out")
-    return date_ns(epoch, None)
+    start = date_ns(epoch, None)
+    known = frames["ts"][frames["ts"] != NO_TIME]
+    for time in (int(known.min()), int(known.max())) if len(known) else ():
+        if not NO_TIME < time + start <= np.iinfo(np.int64).max:
+            raise ValueError(
+                f"the time {time} ns and the epoch {epoch} are more than 64 bits; give an epoch "
+                "nearer to 1970"
+            )
+    return start
 
 
 def hex_ids(frames: FrameArray) -> npt.NDArray[np.bytes_]:
@@ -310,7 +319,7 @@ def hex_ids(frames: FrameArray) -> npt.NDArray[np.bytes_]:
     digits = np.frombuffer(b"0123456789ABCDEF", np.uint8)
     shifts = np.arange(28, -1, -4, dtype=np.uint32)
     text = digits[frames["id"][:, None] >> shifts & np.uint32(15)]
-    short = ~(frames["ext"] | frames["err"])
+    short = ~(frames["ext"] | frames["err"]) & (frames["id"] <= 0x7FF)
     text[short, :3] = text[short, 5:]
     text[short, 3:] = 0
     joined: npt.NDArray[np.bytes_] = text.view("S8")[:, 0]
