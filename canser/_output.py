@@ -4,7 +4,6 @@ import contextlib
 import errno
 import io
 import os
-import secrets
 import shutil
 import stat
 import sys
@@ -99,7 +98,7 @@ def whole_file(path: str, *, force: bool) -> Iterator[BinaryIO]:
         return
     target = Path(os.path.realpath(path))  # a link stays a link
     _check_free(target, path, force=force)
-    partial = target.with_name(f".canser-{secrets.token_hex(4)}.part")
+    partial = target.with_name(f".canser-{os.urandom(4).hex()}.part")
     raw = NamedFile(str(partial), "xb", path)
     try:
         with io.BufferedWriter(raw) as file:

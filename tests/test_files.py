@@ -1,5 +1,6 @@
 """Files of any format by one call: what they are, several as one stream, written and converted."""
 
+import importlib.metadata
 import io
 import itertools
 import os
@@ -152,7 +153,7 @@ def points(monkeypatch: pytest.MonkeyPatch, **modules: Any) -> None:
 
     monkeypatch.setattr(EntryPoint, "load", load)
     found = [EntryPoint(name, f"other.{name}", "canser.formats") for name in modules]
-    monkeypatch.setattr(formats, "entry_points", lambda group: found if group else [])
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: found if group else [])
     formats._all.cache_clear()
 
 

@@ -18,10 +18,10 @@ bytes, its name in messages, and a function. It yields arrays of FRAME_DTYPE. At
 
 import shlex
 import warnings
+from collections.abc import Iterator
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import PurePath
-from typing import Any, BinaryIO, Final
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 from canser._input import Input
 from canser.errors import CanserWarning, ForeignFormatError
@@ -46,6 +46,9 @@ from canser.files.packed import without_packing
 from canser.files.reader import DecodedReader, Reader, ReadOptions
 from canser.files.writer import WriteOptions, Writer
 from canser.recording.header import starts_recording
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 __all__ = [
     "BUILT_IN",
@@ -114,6 +117,8 @@ class _Added:
 @cache
 def _all() -> dict[str, Format]:
     """Return all formats by their names. A name of canser's formats cannot be taken over."""
+    from importlib.metadata import entry_points  # noqa: PLC0415 - slow, and often not needed
+
     formats = dict(BUILT_IN)
     for point in entry_points(group=_GROUP):
         added = _load(point)
@@ -122,7 +127,7 @@ def _all() -> dict[str, Format]:
     return formats
 
 
-def _load(point: EntryPoint) -> Format | None:
+def _load(point: "EntryPoint") -> Format | None:
     try:
         return _Added(point.name, point.load())
     except Exception as error:  # noqa: BLE001 - a package of others may raise anything
@@ -135,6 +140,13 @@ def _warn(name: str, error: Exception) -> None:
     what = f"{type(error).__name__}: {error}"
     text = f"the format {name!r} of another package cannot be used: {what}"
     warnings.warn(text, CanserWarning, stacklevel=3)
+
+
+def _in_turn(*, added: bool) -> Iterator[dict[str, Format]]:
+    """Yield the formats of canser; and if none of these is the one, with `added` all formats."""
+    yield BUILT_IN
+    if added:
+        yield _all()
 
 
 def format_names() -> tuple[str, ...]:
@@ -155,7 +167,7 @@ def find_format(name: str) -> Format:
 def format_of_name(path: str) -> str | None:
     """Return the name of the format that has the suffix of a file's name, None if none has."""
     file_name = PurePath(without_packing(path)).name.lower()
-    for formats in (BUILT_IN, _all() if "." in file_name else {}):
+    for formats in _in_turn(added="." in file_name):
         found = [
             (len(suffix), -place, name)
             for place, (name, each) in enumerate(formats.items())
@@ -216,7 +228,7 @@ def _head(source: Input, *, wait: bool) -> bytes:
 
 
 def _sniffed(head: bytes, *, added: bool) -> str | None:
-    for formats in (BUILT_IN, _all() if added else {}):
+    for formats in _in_turn(added=added):
         for name, each in formats.items():
             if name != PCAPNG and each.sniff(head):
                 return name

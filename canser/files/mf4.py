@@ -24,11 +24,9 @@ before, packed, in a temporary file up to the end.
 import contextlib
 import gc
 import io
-import logging
 import os
 import shutil
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -121,6 +119,8 @@ def load_asammdf(name: str) -> Any:
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Let asammdf print and log nothing: what it cannot do is an exception besides."""
+    import logging  # noqa: PLC0415 - slow, and needed with asammdf only
+
     logger = logging.getLogger("asammdf")
     before, logger.disabled = logger.disabled, True
     hook, sys.unraisablehook = sys.unraisablehook, _drop
@@ -271,6 +271,8 @@ def _target(file: BinaryIO) -> Iterator[BinaryIO]:
         yield file
         file.seek(0, io.SEEK_END)
         return
+    import tempfile  # noqa: PLC0415 - slow, and seldom needed
+
     with tempfile.TemporaryDirectory() as folder, Path(folder, "x.mf4").open("w+b") as made:
         yield made
         give(made, file)
@@ -347,6 +349,8 @@ class _Mf4Reader(TaggedReader):
 
     def _load(self) -> Tagged:
         """Return all frames, one group after the other."""
+        import tempfile  # noqa: PLC0415 - slow, and needed with asammdf only
+
         reason = ""
         with tempfile.TemporaryDirectory() as folder, _quiet():
             try:

@@ -1,7 +1,6 @@
 """Writers: the options of writing, and the interface of all formats."""
 
 import shutil
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import tzinfo
@@ -50,7 +49,11 @@ def patchable(file: BinaryIO) -> BinaryIO:
 
     At the end `give` hands the bytes over.
     """
-    return file if file.seekable() else cast(BinaryIO, tempfile.TemporaryFile())
+    if file.seekable():
+        return file
+    import tempfile  # noqa: PLC0415 - slow, and seldom needed
+
+    return cast(BinaryIO, tempfile.TemporaryFile())
 
 
 def give(made: BinaryIO, file: BinaryIO) -> None:

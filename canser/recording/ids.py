@@ -14,7 +14,6 @@ Neither the id nor the drop count has a checksum. A flipped bit in one costs at 
 the block is left out, or the number of bytes lost before it is wrong.
 """
 
-import secrets
 from typing import Final, NamedTuple
 
 from canser.recording import pcapng
@@ -37,6 +36,8 @@ _AHEAD_MAX: Final = 1 << 40
 
 def make_base() -> int:
     """Return the base of a new recording's ids."""
+    import secrets  # noqa: PLC0415 - slow, and needed for new recordings only
+
     return _AHEAD_MAX + secrets.randbelow((1 << _BASE_BITS) - _AHEAD_MAX)
 
 
