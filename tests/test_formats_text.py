@@ -1,10 +1,14 @@
 """What the text formats share: seconds without rounding, lines and their numbers, last lines."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import canser
+from canser import _input
 from canser._core.text import TextWriter
 from canser.errors import FormatError
 from canser.files.seconds import parse_seconds
@@ -106,6 +110,28 @@ def test_what_is_no_number_is_an_error(text: str) -> None:
 def test_lines_have_the_numbers_of_an_editor() -> None:
     with pytest.raises(FormatError, match=r"^x\.log, line 5: 'fourth'"):
         read_text(b"\xef\xbb\xbf" + LINE.strip() + b"\r\n\n  \n" + LINE + b"fourth\n", "candump")
+
+
+def test_a_file_is_read_into_one_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    class Memory(bytearray):
+        """Counts the pieces of memory that are not empty."""
+
+        def __init__(self, size: int = 0) -> None:
+            super().__init__(size)
+            made.extend([size] * bool(size))
+
+    path = tmp_path / "run.log"
+    line = b"(1.0) can0 123#01\n"
+    path.write_bytes(line * 200_000)
+    assert path.stat().st_size > 3 * _input.READ
+    assert _input.READ % len(line) != 0  # the end of a piece cuts a line
+    monkeypatch.setattr(_input, "bytearray", Memory, raising=False)
+    frames = canser.read(path)
+    assert len(frames) == 200_000
+    assert (frames["id"] == 0x123).all()
+    assert made == [_input.READ + _input.AHEAD]
 
 
 def test_blanks_of_other_scripts_are_no_blanks() -> None:

@@ -115,6 +115,8 @@ class LineReader(TaggedReader):
             else:  # the next line is not whole
                 if source.size is None:
                     yield  # a pipe is waited for: frames go on before
+                if len(source.ahead(self._offset)) > left:
+                    continue  # in the same memory: `data` is no longer looked at
                 if len(source.at(self._offset, left + 1)) == left:
                     self._take_last(bytes(data[taken.used :]))
                     break
