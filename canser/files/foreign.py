@@ -15,6 +15,10 @@ _TEXT_LEAST: Final = 32
 # The largest share of bytes outside ASCII in a text: names and months in many languages have some.
 _NOT_ASCII_MOST: Final = 0.1
 
+# Bytes that are no ASCII; and bytes that no text has: controls but for tab, line feed and return.
+_NOT_ASCII: Final = bytes(range(0x80, 0x100))
+_CONTROLS: Final = bytes({*range(0x20), 0x7F} - set(b"\t\n\r"))
+
 
 class Foreign(NamedTuple):
     """A format that canser does not read."""
@@ -84,6 +88,7 @@ def is_text(head: bytes, least: int = _TEXT_LEAST) -> bool:
     head = head.rstrip(b"\0")  # after a power cut some systems leave zeros at the end of a file
     if len(head) < least or not re.search(rb"[\r\n]", head):
         return False
-    if re.search(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]", head):
+    ascii_only = head.translate(None, _NOT_ASCII)
+    if len(ascii_only.translate(None, _CONTROLS)) < len(ascii_only):
         return False
-    return len(re.findall(rb"[\x80-\xff]", head)) <= _NOT_ASCII_MOST * len(head)
+    return len(head) - len(ascii_only) <= _NOT_ASCII_MOST * len(head)
