@@ -33,8 +33,8 @@ SENT: Final = int(lib.CANSER_SENT)
 # Bytes that are always enough for a line; see canser_text_write.
 _LINE_MOST: Final = 160
 
-# Frames that are written by one call: their lines fit into a cache.
-_WRITTEN_AT_ONCE: Final = 1 << 12
+# Frames that are written by one call: 0.7 MiB of lines, so that a system call costs little.
+_WRITTEN_AT_ONCE: Final = 1 << 14
 
 
 def _formats() -> dict[str, Pointer]:
