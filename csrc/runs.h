@@ -116,11 +116,12 @@ CANSER_INLINE void run_begin(canser_runs *self, int64_t ts)
 }
 
 /* How near a time must be for runs_next() not to be asked: see run_is_near(). No time is, if each
- * one must be asked about. A time near CANSER_NO_TIME is none, which saves a comparison with it. */
+ * one must be asked about. Beyond 146 years from 0 none is, either: this saves a comparison with
+ * CANSER_NO_TIME, and the question whether a difference fits into 64 bits. */
 CANSER_INLINE uint64_t runs_near(const canser_runs *self)
 {
     if (!self->run || self->since || self->unit_steps < CANSER_UNIT_STEPS ||
-        self->last < INT64_MIN + 2 * RUN_DISORDER_NS)
+        self->last < INT64_MIN / 2 || self->last > INT64_MAX / 2)
         return 0;
     return (uint64_t)(RUN_DISORDER_NS + RUN_SHORT_NS);
 }
