@@ -10,6 +10,7 @@ from canser._core.text import Codes
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser._notation import ERR_FLAG
 from canser.analysis.ids import contiguous
+from canser.analysis.names import id_digits
 
 __all__ = ["IdGroups", "by_id", "changes"]
 
@@ -83,7 +84,7 @@ class IdGroups(Mapping[str, FrameArray]):
 
 
 def _name(number: int, ext: bool, err: bool) -> str:
-    return f"{number | (ERR_FLAG if err else 0):0{8 if ext or err else 3}X}"
+    return id_digits(number | (ERR_FLAG if err else 0), long=ext or err)
 
 
 def by_id(frames: FrameArray) -> IdGroups:

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canser._frames import YEAR_2000_NS
+from canser.analysis.names import id_digits
 from canser.codec.decoder import Control, Stats
 from canser.files.fits import Fit
 from canser.recording.header import RecordingInfo
@@ -101,7 +102,7 @@ def id_lines(ids: npt.NDArray[np.void]) -> Iterator[str]:
     yield "      id     frames   share     rate/s   period ms  dlc"
     for values in ids.tolist():
         row: dict[str, Any] = dict(zip(ids.dtype.names or (), values, strict=True))
-        name = f"{row['id']:08X}" if row["ext"] or row["err"] else f"{row['id']:03X}"
+        name = id_digits(row["id"], long=row["ext"] or row["err"])
         # NaN, for a number that is not known, is not equal to itself.
         rate = f"{row['rate']:10,.2f}" if row["rate"] == row["rate"] else f"{'-':>10}"
         period = (
