@@ -99,10 +99,10 @@ def whole_file(path: str, *, force: bool) -> Iterator[BinaryIO]:
     target = Path(os.path.realpath(path))  # a link stays a link
     _check_free(target, path, force=force)
     partial = target.with_name(f".canser-{os.urandom(4).hex()}.part")
-    raw = NamedFile(str(partial), "xb", path)
     try:
-        with io.BufferedWriter(raw) as file:
-            yield file
+        # A signal may come as soon as the file is there.
+        with io.BufferedWriter(NamedFile(str(partial), "xb", path)) as file:
+            yield cast(BinaryIO, file)
             file.flush()
         _check_free(target, path, force=force)
         with named(path, always=True):

@@ -54,7 +54,7 @@ def test_a_file_is_told_by_its_frames_and_ids() -> None:
         "dlc        2: 2, 4: 1, 8: 2",
         "",
         "      id     frames   share     rate/s   period ms  dlc",
-        "     123          3  60.00%       1.50    1,000.00  4..8  1 remote",
+        "     123          3  60.00%       1.50           -  4..8  1 remote",
         "     7E0          1  20.00%       0.50           -  2  remote",
         "18FEF100          1  20.00%       0.50           -  2",
     ]
