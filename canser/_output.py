@@ -110,7 +110,8 @@ def whole_file(path: str, *, force: bool) -> Iterator[BinaryIO]:
                 shutil.copymode(target, partial)
             partial.replace(target)
     except BaseException:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # it may be that no file could be made
+            partial.unlink()
         raise
 
 
