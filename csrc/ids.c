@@ -375,8 +375,8 @@ int canser_ids_changes(canser_ids *self, const canser_frame *frames, size_t fram
             break;
         row = &table.rows[number - 1];
         out[count] = frames[i]; /* which stays only if it is counted */
-        count += ((load(row->data) ^ load(frames[i].data)) |
-                  (load(row->head) ^ load(&frames[i]))) != 0;
+        count +=
+            ((load(row->data) ^ load(frames[i].data)) | (load(row->head) ^ load(&frames[i]))) != 0;
         memcpy(row->data, frames[i].data, sizeof row->data);
         memcpy(row->head, &frames[i], sizeof row->head);
     }
