@@ -23,7 +23,7 @@ assert WINDOW % mmap.ALLOCATIONGRANULARITY == 0
 
 # Bytes read at a time from a regular file: enough that a system call costs nothing, and few enough
 # that they are still in the processor's cache when they are looked at.
-READ = 1 << 18
+READ = 1 << 20
 
 # Bytes read at a time from other files, such as a pipe.
 CHUNK = 1 << 18
