@@ -16,7 +16,7 @@ PACKAGE = Path(canser.__file__).parent
 # The floors of the house, the lowest first. A folder or a module of the root imports from its own
 # floor's folders never, and from the floors below only; within a folder there is no circle.
 FLOORS = [
-    ["_checks", "_guards", "_named", "_progress", "_quantities", "_signals", "errors"],
+    ["_checks", "_guards", "_named", "_progress", "_quantities", "errors"],
     ["_frames", "_input", "_output", "_threads"],
     ["_core", "_dates", "_rows"],
     ["_notation", "_protocols"],
@@ -25,7 +25,7 @@ FLOORS = [
     ["recording", "tables"],
     ["files"],
     ["live"],
-    ["_display", "analysis"],
+    ["_display", "analysis", "signals"],
     ["", "monitoring", "python_can"],
     ["commands"],
     ["__main__"],

@@ -6,10 +6,10 @@ from typing import Final
 
 from canser import adapters
 from canser._protocols import TS_UNITS, protocol, protocols
-from canser._signals import Stop
 from canser.adapters import AdapterConfig
 from canser.commands._numbers import duration, whole
 from canser.commands._parser import CallError, Parser, protocol_name
+from canser.commands._stop import Stop
 from canser.errors import PortBusyError, PortDeniedError, PortNotFoundError
 from canser.live import ports
 from canser.live.config import LEVELS, LineConfig, PortOptions, flat_config

@@ -52,8 +52,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final, Self
 
-from canser import _signals
 from canser.analysis import report
+from canser.commands import _stop
 from canser.commands._numbers import duration, whole
 from canser.commands._parser import BAD_DATA, GOOD, CallError, Commands, DataError, add_command
 from canser.commands._port import duration_arguments, port_arguments, port_options
@@ -163,7 +163,7 @@ def run(args: argparse.Namespace) -> int:
         raise StreamClosedError("the standard output is closed; open it, or leave --json out")
     if not args.triggers and (args.before, args.after) != (None, None):
         raise CallError("--before and --after are about a trigger; name one with --trigger")
-    with _signals.stop_on_signals() as stop, Lines(sys.stderr.fileno()) as messages:
+    with _stop.stop_on_signals() as stop, Lines(sys.stderr.fileno()) as messages:
         with (
             _Reporter(messages, as_json=args.json) as reporter,
             warnings_as_lines(reporter.warn),
@@ -261,7 +261,7 @@ class _Log:
         self._args, self._reporter = args, reporter
         self._status: RecorderStatus | None = None  # None before the recording has begun
 
-    def run(self, stop: _signals.Stop) -> Exception | None:
+    def run(self, stop: _stop.Stop) -> Exception | None:
         """Record until the end; return why the exit code is not 0."""
         args = self._args
         error: Exception | None = None

@@ -5,10 +5,10 @@ import math
 import sys
 import time
 
-from canser._signals import stop_on_signals
 from canser.commands._parser import GOOD, CallError, Commands, add_command
 from canser.commands._port import duration_arguments, open_port, port_arguments
 from canser.commands._screen import warnings_as_lines
+from canser.commands._stop import stop_on_signals
 from canser.monitoring.livetable import exact
 
 __all__ = ["add"]

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Final
 
 from canser._frames import FrameArray
-from canser._signals import Stop, stop_on_signals
 from canser.codec.refusals import Refusals
 from canser.commands._numbers import real
 from canser.commands._parser import GOOD, CallError, Commands, DataError, add_command, write_line
@@ -20,6 +19,7 @@ from canser.commands._source import (
     log_arguments,
     read_options,
 )
+from canser.commands._stop import Stop, stop_on_signals
 from canser.commands._traffic import TrafficFile
 from canser.errors import CanserError
 from canser.live.player import Played, play

@@ -13,7 +13,6 @@ from typing import BinaryIO
 from canser._frames import FrameArray
 from canser._output import check_apart, whole_file
 from canser._protocols import TS_UNITS, protocols
-from canser._signals import Stop, stop_on_signals
 from canser.codec.refusals import Refusals, carries
 from canser.commands._numbers import duration, real, whole
 from canser.commands._parser import (
@@ -28,6 +27,7 @@ from canser.commands._parser import (
     write_line,
 )
 from canser.commands._source import as_is_argument, log_arguments, read_options, write_remarks
+from canser.commands._stop import Stop, stop_on_signals
 from canser.commands._traffic import TrafficFile
 from canser.errors import ReaderGoneError
 from canser.simulation.faults import Faults

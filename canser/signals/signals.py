@@ -1,0 +1,146 @@
+"""Signals: what decoding with a database returns."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from canser.signals.report import DecodeReport
+
+__all__ = ["Group", "Signal", "Signals", "find_signal"]
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Signal:
+    """The samples of one signal.
+
+    Attributes
+    ----------
+    name : str
+        The name in the database.
+    message : str
+        The name of its message.
+    group : str
+        The name of its group: signals of a group share their times.
+    ts : array of datetime64[ns], shape (n,)
+        The times of the frames. They start in 1970 if the times of the frames are no dates.
+    values : array of int64, uint64 or float64, shape (n,)
+        Physical values. Whole numbers if scale and offset are whole and all values fit.
+    unit : str
+        The unit, "" if the database has none.
+    choices : mapping of int to str, or None
+        The texts of raw values.
+    raw : array of int64, uint64 or float64, shape (n,), or None
+        The values before scale and offset, if they were asked for.
+    valid : array of bool, shape (n,), or None
+        After `resample`: where there is a value. Otherwise None, as all samples have one.
+    """
+
+    name: str
+    message: str
+    group: str
+    ts: npt.NDArray[np.datetime64]
+    values: npt.NDArray[Any]
+    unit: str = ""
+    choices: Mapping[int, str] | None = None
+    raw: npt.NDArray[Any] | None = None
+    valid: npt.NDArray[np.bool_] | None = None
+
+    @property
+    def full_name(self) -> str:
+        """The message and the name, with a point between."""
+        return f"{self.message}.{self.name}"
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __repr__(self) -> str:
+        unit = f", {self.unit}" if self.unit else ""
+        return f"<canser.Signal {self.full_name}{unit}: {len(self):,} samples>"
+
+
+class Group(Mapping[str, Signal]):
+    """Signals that share their times, by their names: those of a message, or of one page of it.
+
+    Attributes
+    ----------
+    name : str
+        The name of the message, and what tells the group apart, such as "M[Page=1]".
+    message : str
+        The name of the message.
+    ts : array of datetime64[ns], shape (n,)
+        The times.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        message: str,
+        ts: npt.NDArray[np.datetime64],
+        signals: Mapping[str, Signal],
+    ) -> None:
+        self.name, self.message, self.ts = name, message, ts
+        self._signals = dict(signals)
+
+    def __getitem__(self, name: str) -> Signal:
+        return find_signal(self._signals, name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._signals)
+
+    def __len__(self) -> int:
+        return len(self._signals)
+
+    def __repr__(self) -> str:
+        return f"<canser.Group {self.name}: {len(self)} signals, {len(self.ts):,} samples>"
+
+
+class Signals(Mapping[str, Signal]):
+    """Signals by their names: "Message.Signal", or "Signal" where only one message has it.
+
+    Attributes
+    ----------
+    groups : mapping of str to Group
+        The same signals by the groups that share their times.
+    report : DecodeReport
+        What was decoded, and what was not, and why.
+    """
+
+    def __init__(self, groups: Mapping[str, Group], report: DecodeReport) -> None:
+        self.groups, self.report = dict(groups), report
+        self._signals = {
+            signal.full_name: signal for group in groups.values() for signal in group.values()
+        }
+
+    def __getitem__(self, name: str) -> Signal:
+        return find_signal(self._signals, name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._signals)
+
+    def __len__(self) -> int:
+        return len(self._signals)
+
+    def __contains__(self, name: object) -> bool:
+        try:
+            self[name]  # type: ignore[index]
+        except (KeyError, TypeError):
+            return False
+        return True
+
+    def __repr__(self) -> str:
+        return f"<canser.Signals: {len(self)} in {len(self.groups)} groups>"
+
+
+def find_signal(signals: Mapping[str, Signal], name: str) -> Signal:
+    """Return a signal by its full name, or by the end of it that only one has."""
+    if name in signals:
+        return signals[name]
+    found = [each for each in signals if each.rpartition(".")[2] == name]
+    if len(found) == 1:
+        return signals[found[0]]
+    if found:
+        raise KeyError(f"{name!r} is in several messages: {', '.join(found)}")
+    raise KeyError(f"no signal {name!r} was decoded")
