@@ -986,7 +986,7 @@ int canser_order_rows(const uint32_t *row_of, const int64_t *steps, size_t frame
 /* Samples that are kept for a group before its signals are decoded. */
 #define CANSER_SIGNAL_BLOCK 256
 
-/* How deep multiplexers may lie behind multiplexers. */
+/* How deep multiplexers may lie behind multiplexers: C goes down by calls. */
 #define CANSER_MUX_DEPTH 32
 
 /* No message, no table; no page, and pages that a route has no room for. */
@@ -1053,7 +1053,6 @@ typedef struct {
     uint32_t first_mux;
     uint32_t mux_count;
     uint32_t full_dlc; /* shorter frames do not have all of it */
-    uint32_t depth;    /* of multiplexers below, at most CANSER_MUX_DEPTH */
 } canser_page;
 
 /* A multiplexer: a number whose value selects pages. */

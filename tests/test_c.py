@@ -25,7 +25,7 @@ SHARED = [HERE / "c" / "plain.c", HERE / "c" / "drive.c"]
 
 COMPILER = shlex.split(os.environ.get("CC") or "cc")
 
-FAST = ["-O2"]
+FAST = ["-O2", "-ffp-contract=off"]
 DEBUG = ["-g", "-O1"]
 SANITIZED = [*DEBUG, "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
@@ -137,6 +137,15 @@ def test_objects_of_blf(tmp_path: Path) -> None:
 @takes_long
 def test_objects_of_blf_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
     assert_all_pass(run(build_test(tmp_path, "blf", *debug_flags)))
+
+
+def test_signals(tmp_path: Path) -> None:
+    assert_all_pass(run(build_test(tmp_path, "signals", *FAST), "2000" if LONG else "200"))
+
+
+@takes_long
+def test_signals_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    assert_all_pass(run(build_test(tmp_path, "signals", *debug_flags)))
 
 
 def test_frames_by_their_ids(tmp_path: Path) -> None:
