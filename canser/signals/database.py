@@ -5,6 +5,7 @@ import fnmatch
 import os
 import warnings
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Final
 
@@ -90,6 +91,8 @@ class Database:
             left_out |= loaded.left_out
             for message in loaded.messages:
                 other = messages.get(message.name) or ids.get((message.id, message.ext))
+                if other and replace(message, path=other.path) == other:
+                    continue
                 if other:
                     why = f"{other.path} has {other.name} with the id {other.id:X}"
                     left_out[message.name] = why
