@@ -1,0 +1,71 @@
+"""Values of signals at other times: C's work for each time of a grid."""
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from canser._core._lib import ffi, lib
+from canser._core.buffers import NULL, raise_status
+
+__all__ = ["Grid", "are_rising", "resample_linear", "resample_previous"]
+
+_NO_LIMIT: Final = 2**64 - 1
+
+Times = npt.NDArray[np.int64]
+Values = npt.NDArray[Any]
+Resampled = tuple[Values, npt.NDArray[np.bool_]]
+
+
+class Grid(NamedTuple):
+    """The times for which values are asked: rising and contiguous, or first + i * step."""
+
+    count: int
+    first: int = 0
+    step: int = 1
+    times: Times | None = None
+
+
+def are_rising(ts: Times) -> bool:
+    """Return whether no time of a contiguous array is before the one in front of it."""
+    rise = ffi.new("uint8_t *")
+    status = lib.canser_times_rise(ffi.from_buffer("int64_t[]", ts), len(ts), rise)
+    if status:
+        raise_status(status)
+    return bool(rise[0])
+
+
+def resample_previous(ts: Times, values: Values, grid: Grid, max_age: int | None) -> Resampled:
+    """Return the last value at or before each time of the grid, and where there is one.
+
+    `ts` rises; `values` are int64, uint64 or float64; both are contiguous. Where there is no value
+    it is 0, or NaN.
+    """
+    return _resample(lib.canser_resample_previous, ts, values, grid, max_age)
+
+
+def resample_linear(
+    ts: Times, values: npt.NDArray[np.float64], grid: Grid, max_age: int | None
+) -> Resampled:
+    """Return the values on the lines between samples, and where there are such."""
+    return _resample(lib.canser_resample_linear, ts, values, grid, max_age)
+
+
+def _resample(
+    function: Any, ts: Times, values: Values, grid: Grid, max_age: int | None
+) -> Resampled:
+    out, valid = np.empty(grid.count, values.dtype), np.empty(grid.count, np.bool_)
+    ts_at, values_at = ffi.from_buffer("int64_t[]", ts), ffi.from_buffer(values)
+    times_at = NULL if grid.times is None else ffi.from_buffer("int64_t[]", grid.times)
+    missing = np.array(np.nan if values.dtype.kind == "f" else 0, values.dtype)
+    status = function(
+        ffi.new("canser_samples *", (ts_at, values_at, len(ts))),
+        ffi.new("canser_grid *", (times_at, grid.first, grid.step, grid.count)),
+        _NO_LIMIT if max_age is None else min(max_age, _NO_LIMIT),
+        int(missing.view(np.uint64)),
+        ffi.from_buffer(out),
+        ffi.from_buffer("uint8_t[]", valid),
+    )
+    if status:
+        raise_status(status)
+    return out, valid
