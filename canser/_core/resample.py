@@ -1,6 +1,7 @@
 """Values of signals at other times: C's work for each time of a grid."""
 
-from typing import Any, Final, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,8 @@ Values = npt.NDArray[Any]
 Resampled = tuple[Values, npt.NDArray[np.bool_]]
 
 
-class Grid(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Grid:
     """The times for which values are asked: rising and contiguous, or first + i * step."""
 
     count: int
