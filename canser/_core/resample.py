@@ -15,7 +15,13 @@ _NO_LIMIT: Final = 2**64 - 1
 
 Times = npt.NDArray[np.int64]
 Values = npt.NDArray[Any]
-Resampled = tuple[Values, npt.NDArray[np.bool_]]
+Flags = npt.NDArray[np.bool_]
+
+# Rising times, and as many values; both contiguous.
+Samples = tuple[Times, Values]
+
+# Values, and where there is one; both as long as the grid.
+Found = tuple[Values, Flags]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,37 +43,35 @@ def are_rising(ts: Times) -> bool:
     return bool(rise[0])
 
 
-def resample_previous(ts: Times, values: Values, grid: Grid, max_age: int | None) -> Resampled:
-    """Return the last value at or before each time of the grid, and where there is one.
+def resample_previous(samples: Samples, grid: Grid, max_age: int | None, out: Found) -> None:
+    """Fill `out` with the last value at or before each time of the grid.
 
-    `ts` rises; `values` are int64, uint64 or float64; both are contiguous. Where there is no value
-    it is 0, or NaN.
+    Values are int64, uint64 or float64. Where there is none, it is 0, or NaN.
     """
-    return _resample(lib.canser_resample_previous, ts, values, grid, max_age)
+    _resample(lib.canser_resample_previous, samples, grid, max_age, out)
 
 
-def resample_linear(
-    ts: Times, values: npt.NDArray[np.float64], grid: Grid, max_age: int | None
-) -> Resampled:
-    """Return the values on the lines between samples, and where there are such."""
-    return _resample(lib.canser_resample_linear, ts, values, grid, max_age)
+def resample_linear(samples: Samples, grid: Grid, max_age: int | None, out: Found) -> None:
+    """Fill `out` with the values on the lines between samples; all are float64."""
+    _resample(lib.canser_resample_linear, samples, grid, max_age, out)
 
 
-def _resample(
-    function: Any, ts: Times, values: Values, grid: Grid, max_age: int | None
-) -> Resampled:
-    out, valid = np.empty(grid.count, values.dtype), np.empty(grid.count, np.bool_)
+def _resample(function: Any, samples: Samples, grid: Grid, max_age: int | None, out: Found) -> None:
+    (ts, values), (found, valid) = samples, out
+    assert len(ts) == len(values)
+    assert len(found) == len(valid) == grid.count
+    assert found.dtype == values.dtype
+    assert found.itemsize == 8
     ts_at, values_at = ffi.from_buffer("int64_t[]", ts), ffi.from_buffer(values)
     times_at = NULL if grid.times is None else ffi.from_buffer("int64_t[]", grid.times)
-    missing = np.array(np.nan if values.dtype.kind == "f" else 0, values.dtype)
+    missing = np.array(np.nan if found.dtype.kind == "f" else 0, found.dtype)
     status = function(
         ffi.new("canser_samples *", (ts_at, values_at, len(ts))),
         ffi.new("canser_grid *", (times_at, grid.first, grid.step, grid.count)),
         _NO_LIMIT if max_age is None else min(max_age, _NO_LIMIT),
         int(missing.view(np.uint64)),
-        ffi.from_buffer(out),
+        ffi.from_buffer(found),
         ffi.from_buffer("uint8_t[]", valid),
     )
     if status:
         raise_status(status)
-    return out, valid

@@ -89,27 +89,35 @@ def resample(
     for name, signal in signals.items():
         _check(signal, name)
         # Signals of a group share the memory of their times.
-        key = (signal.ts.__array_interface__["data"][0], len(signal.ts), *signal.ts.strides)
-        if key not in ordered:
-            ordered[key] = _Ordered(signal.ts, name)
-        ordered_of[name] = ordered[key]
+        place = (signal.ts.__array_interface__["data"][0], len(signal.ts), *signal.ts.strides)
+        if place not in ordered:
+            ordered[place] = _Ordered(signal.ts, name)
+        ordered_of[name] = ordered[place]
     lines = {name for name, signal in signals.items() if how == "linear" and not signal.choices}
     raw_count = sum(signals[name].raw is not None for name in signals.keys() - lines)
     made = _make_grid(grid, signals, groups, list(ordered.values()), 8 * raw_count)
     times = made.times
     if times is None:
-        times = np.arange(made.count, dtype=np.int64) * made.step + made.first
+        # np.arange(first, end, step) fails where the end is behind the last time of int64.
+        times = np.arange(made.count, dtype=np.int64)
+        times *= made.step
+        times += made.first
     ts = times.view("M8[ns]")
+    # Signals with the same times have values at the same places.
+    valid_of: dict[tuple[int, bool], npt.NDArray[np.bool_]] = {}
     found = {}
     for name, signal in signals.items():
-        own, raw = ordered_of[name], None
-        if name in lines:
-            whole = own.bring(signal.values.astype(np.float64))
-            values, valid = resample_linear(own.times, whole, made, max_age_ns)
-        else:
-            values, valid = resample_previous(own.times, own.bring(signal.values), made, max_age_ns)
-            if signal.raw is not None:
-                raw, _ = resample_previous(own.times, own.bring(signal.raw), made, max_age_ns)
+        own, is_line, raw = ordered_of[name], name in lines, None
+        if (key := (id(own), is_line)) not in valid_of:
+            valid_of[key] = np.empty(made.count, np.bool_)
+        valid = valid_of[key]
+        whole = own.bring(signal.values.astype(np.float64) if is_line else signal.values)
+        values = np.empty(made.count, whole.dtype)
+        work = resample_linear if is_line else resample_previous
+        work((own.times, whole), made, max_age_ns, (values, valid))
+        if signal.raw is not None and not is_line:
+            raw = np.empty(made.count, signal.raw.dtype)
+            resample_previous((own.times, own.bring(signal.raw)), made, max_age_ns, (raw, valid))
         found[name] = dataclasses.replace(signal, ts=ts, values=values, raw=raw, valid=valid)
     return ts, found
 
