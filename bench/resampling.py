@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from bus_numbers import NumberRow
 from canser._core.resample import Grid, resample_linear, resample_previous
-from canser.signals.report import UNKNOWN_ID_DTYPE, DecodeReport
 from canser.signals.signals import Group, Signal, Signals
 from measure import paired
 
@@ -37,17 +36,8 @@ def samples(count: int) -> Signals:
         ts=ts[kept].view("M8[ns]"),
         values=rng.random(int(kept.sum())),
     )
-    report = DecodeReport(
-        frame_count=len(signal),
-        messages={"M": len(signal)},
-        unknown_ids=np.zeros(0, UNKNOWN_ID_DTYPE),
-        never_seen=(),
-        short={},
-        unknown_pages={},
-        remote_count=0,
-        error_count=0,
-    )
-    return Signals({"M": Group("M", "M", signal.ts, {"S": signal})}, report)
+    no_report: Any = None  # resampling does not look at it
+    return Signals({"M": Group("M", "M", signal.ts, {"S": signal})}, no_report)
 
 
 def numpy_grid(ts: Times) -> Times:
