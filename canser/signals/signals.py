@@ -163,7 +163,7 @@ class Signals(Mapping[str, Signal]):
         how: str = "previous",
         max_age: str | int | dt.timedelta | np.timedelta64 | None = None,
     ) -> "Resampled":
-        r"""Return all signals on one time base.
+        """Return all signals on one time base.
 
         Parameters
         ----------
@@ -213,16 +213,13 @@ class Signals(Mapping[str, Signal]):
 
         Examples
         --------
-        >>> text = 'BO_ 291 Engine: 2 X\n SG_ RPM : 0|16@1+ (1,0) [0|0] "rpm" X\n'
-        >>> with open("car.dbc", "w") as file:
-        ...     _ = file.write(text)
-        >>> frames = canser.frames("123#E803", "123#B80B")
+        >>> frames = canser.frames("123#401F01", "123#602001")
         >>> frames["ts"] = [0, 25_000_000]
         >>> signals = canser.Database("car.dbc").decode(frames)
         >>> signals.resample("10ms")["RPM"].values
-        array([1000, 1000, 1000])
+        array([2000., 2000., 2000.])
         >>> signals.resample("10ms", how="linear")["RPM"].values
-        array([1000., 1800., 2600.])
+        array([2000. , 2028.8, 2057.6])
         >>> signals.resample("10ms", max_age="15ms")["RPM"].valid
         array([ True,  True, False])
         """
