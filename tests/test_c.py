@@ -166,6 +166,15 @@ def test_lengths_on_the_bus_sanitized(tmp_path: Path, debug_flags: list[str]) ->
     assert_all_pass(run(build_test(tmp_path, "bits", *debug_flags)))
 
 
+def test_signals_at_other_times(tmp_path: Path) -> None:
+    assert_all_pass(run(build_test(tmp_path, "resample", *FAST), "100000" if LONG else "10000"))
+
+
+@takes_long
+def test_signals_at_other_times_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    assert_all_pass(run(build_test(tmp_path, "resample", *debug_flags)))
+
+
 def test_captures(tmp_path: Path) -> None:
     assert_all_pass(run(build_test(tmp_path, "pcap", *FAST), "20000" if LONG else "2000"))
 
