@@ -472,8 +472,8 @@ static void mistakes(void)
         column.format = wrong == 1 ? NULL : column.format;
         column.values = wrong == 2 ? NULL : column.values;
         column.size = wrong == 3 ? 0 : column.size;
-        column.kind = wrong == 4 ? CANSER_COLUMN_TEXT + 1 : column.kind;
-        column.nulls = wrong == 5 ? CANSER_NULLS_NAN + 1 : column.nulls;
+        column.kind = wrong == 4 ? CANSER_COLUMN_DICTIONARY + 1 : column.kind;
+        column.nulls = wrong == 5 ? CANSER_NULLS_MASK + 1 : column.nulls;
         column.nulls = wrong == 6 ? CANSER_NULLS_NO_TIME : column.nulls;
         check(canser_table_new(&column, 1, 1, &table) == statuses[wrong] && !table, "a column",
               (size_t)wrong);
