@@ -49,7 +49,7 @@ enum { LARGE = 1 << 22, PAGE = 1 << 12 };
 enum { GROUP_ROWS = 1024 };
 
 /* The widest value, the most columns, and the most texts of a dictionary. */
-enum { SIZE_MOST = 1 << 16, COLUMNS_MOST = 1 << 12, COUNT_MOST = INT32_MAX };
+enum { SIZE_MOST = 1 << 16, COLUMNS_MOST = 1 << 15, COUNT_MOST = INT32_MAX };
 
 struct canser_block {
     uint32_t refs; /* the caller, and each column of a table */

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from canser.signals.report import DecodeReport
 from canser.signals.resample import resample
+from canser.tables.signals import ManyTables, OneTable
 
 __all__ = ["Group", "Resampled", "Signal", "Signals", "find_signal"]
 
@@ -71,7 +72,7 @@ class Signal:
         return f"<canser.Signal {self.full_name}{unit}: {len(self):,} samples>"
 
 
-class Group(Mapping[str, Signal]):
+class Group(OneTable, Mapping[str, Signal]):
     """Signals that share their times, by their names; given by `Signals.groups`.
 
     They are those of a message that are always there, or those of one page of it.
@@ -109,7 +110,7 @@ class Group(Mapping[str, Signal]):
         return f"<canser.Group {self.name}: {len(self)} signals, {len(self.ts):,} samples>"
 
 
-class Signals(Mapping[str, Signal]):
+class Signals(ManyTables, Mapping[str, Signal]):
     """Signals by their names, returned by `Database.decode`.
 
     A name is "Message.Signal", or "Signal" where only one message has it.
@@ -229,7 +230,7 @@ class Signals(Mapping[str, Signal]):
         return f"<canser.Signals: {len(self)} in {len(self.groups)} groups>"
 
 
-class Resampled(Mapping[str, Signal]):
+class Resampled(OneTable, Mapping[str, Signal]):
     """Signals on one time base, by their names: made by `Signals.resample`.
 
     Names are those of `Signals`. Each signal has `valid`, an array of bool, shape (n,): False where
