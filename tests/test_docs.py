@@ -39,6 +39,17 @@ BO_ {vehicle_id} VehicleData: 8 ECU
 """
 
 
+# A database for the frames of `vehicle`.
+CAR_DBC = """BU_: ECU
+BO_ 160 EngineData: 8 ECU
+ SG_ RPM : 0|16@1+ (0.25,0) [0|16000] "rpm" ECU
+ SG_ Gear : 56|2@1+ (1,0) [0|0] "" ECU
+BO_ 183 Body: 8 ECU
+ SG_ Speed : 0|16@1+ (0.01,0) [0|0] "km/h" ECU
+VAL_ 160 Gear 0 "neutral" 1 "first" ;
+"""
+
+
 def blocks(page: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", PAGES[page], re.DOTALL | re.MULTILINE)
 
