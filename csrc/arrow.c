@@ -368,18 +368,21 @@ CANSER_INLINE void find_nulls(table_column *to, const canser_column *from, int n
     to->null_count += null_count;
 }
 
+static void copy_rows(uint8_t *to, uint8_t *texts, const canser_column *from, size_t first,
+                      size_t count)
+{
+    if (from->kind == CANSER_COLUMN_FLAGS)
+        copy_flags(to, from, first, count);
+    else if (from->kind == CANSER_COLUMN_TEXT)
+        copy_texts(to, texts, from, first, count);
+    else
+        copy(to, from, first, count);
+}
+
 static void fill(table_column *to, const canser_column *from, size_t first, size_t count)
 {
-    uint8_t *const values = (uint8_t *)(uintptr_t)to->values; /* unless a block has them */
-
-    if (from->block)
-        ; /* they are there */
-    else if (from->kind == CANSER_COLUMN_FLAGS)
-        copy_flags(values, from, first, count);
-    else if (from->kind == CANSER_COLUMN_TEXT)
-        copy_texts(values, to->texts, from, first, count);
-    else
-        copy(values, from, first, count);
+    if (!from->block)
+        copy_rows((uint8_t *)(uintptr_t)to->values, to->texts, from, first, count);
     switch (from->nulls) {
     case CANSER_NULLS_NONE:
         break;
