@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import canser
 from canser._core.arrow import is_shared, shared_empty
 from canser.signals.signals import Group, Signal, Signals
 from reference import NO_TIME
@@ -607,6 +609,53 @@ def test_a_long_table_of_nothing() -> None:
     assert none.to_polars(long=True).columns == ["ts", "signal", "value", "text"]
     assert list(none.to_xarray(long=True)) == ["ts", "signal", "value", "text"]
     assert list(none.to_pandas(long=True).columns) == ["ts", "signal", "value", "text"]
+
+
+# ---- After `resample`: one table.
+
+
+CAR = """BO_ 291 Engine: 3 X
+ SG_ RPM : 0|16@1+ (1,0) [0|0] "rpm" X
+ SG_ Gear : 16|8@1+ (1,0) [0|0] "" X
+BO_ 292 Body: 1 X
+ SG_ Speed : 0|8@1+ (0.5,0) [0|0] "km/h" X
+VAL_ 291 Gear 1 "one" 2 "two" ;
+"""
+
+
+def resampled(tmp_path: Path) -> Any:
+    (tmp_path / "car.dbc").write_text(CAR)
+    frames = canser.frames("123#E80301", "124#05", "123#B80B05")
+    frames["ts"] = [0, 15_000_000, 25_000_000]
+    database = canser.Database(tmp_path / "car.dbc")
+    return database.decode(frames).resample("10ms", max_age="12ms")
+
+
+def test_signals_on_one_time_base_are_one_table(tmp_path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    grid = resampled(tmp_path)
+    made = grid.to_arrow()
+    assert made.equals(pa.table(grid), check_metadata=True)
+    made.validate(full=True)
+    assert made.set_column(0, "ts", made["ts"].cast(pa.int64())).to_pydict() == {
+        "ts": [0, 10_000_000, 20_000_000],
+        "Engine.RPM": [1000, 1000, None],
+        "Engine.Gear": ["one", "one", None],
+        "Body.Speed": [None, None, 2.5],
+    }
+    assert made.schema.field("Body.Speed").metadata[b"canser.unit"] == b"km/h"
+    for name, array in (("ts", grid.ts), ("Body.Speed", grid["Speed"].values)):
+        assert made[name].chunk(0).buffers()[1].address == address(array)
+    assert grid.to_arrow(long=True).num_rows == 5
+
+
+def test_one_table_of_every_package(tmp_path: Path) -> None:
+    for package in ("polars", "pandas", "xarray"):
+        pytest.importorskip(package)
+    grid = resampled(tmp_path)
+    assert grid.to_polars()["Engine.Gear"].to_list() == ["one", "one", None]
+    assert grid.to_pandas()["Engine.RPM"].isna().tolist() == [False, False, True]
+    assert repr(grid.to_xarray()["Engine.RPM"].values.tolist()) == "[1000.0, 1000.0, nan]"
 
 
 # ---- pandas, polars, xarray.
