@@ -150,6 +150,15 @@ def test_a_class_says_what_makes_it_and_what_its_fields_are(name: str) -> None:
             assert listed(sections(text), Kind.parameters) == parameters(init)
 
 
+# The database that examples of signals open.
+CAR_DBC = """BU_: ECU
+BO_ 291 EngineData: 8 ECU
+ SG_ RPM : 0|16@1+ (0.25,0) [0|16000] "rpm" ECU
+ SG_ Gear : 16|4@1+ (1,0) [0|0] "" ECU
+VAL_ 291 Gear 0 "neutral" 1 "first" ;
+"""
+
+
 def has_example(text: str) -> bool:
     return any(example.source for example in doctest.DocTestParser().get_examples(text))
 
@@ -173,6 +182,7 @@ def test_examples_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         if name.endswith(package):
             pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "car.dbc").write_text(CAR_DBC)
     flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     test = doctest.DocTestParser().get_doctest(text, {"np": np, "canser": canser}, name, name, 0)
     report: list[str] = []

@@ -14,7 +14,7 @@ __all__ = ["Group", "Signal", "Signals", "find_signal"]
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Signal:
-    """The samples of one signal.
+    """The samples of one signal, given by `Signals`.
 
     Attributes
     ----------
@@ -62,7 +62,9 @@ class Signal:
 
 
 class Group(Mapping[str, Signal]):
-    """Signals that share their times, by their names: those of a message, or of one page of it.
+    """Signals that share their times, by their names; given by `Signals.groups`.
+
+    They are those of a message that are always there, or those of one page of it.
 
     Attributes
     ----------
@@ -98,7 +100,9 @@ class Group(Mapping[str, Signal]):
 
 
 class Signals(Mapping[str, Signal]):
-    """Signals by their names: "Message.Signal", or "Signal" where only one message has it.
+    """Signals by their names, returned by `Database.decode`.
+
+    A name is "Message.Signal", or "Signal" where only one message has it.
 
     Attributes
     ----------
@@ -110,6 +114,8 @@ class Signals(Mapping[str, Signal]):
 
     def __init__(self, groups: Mapping[str, Group], report: DecodeReport) -> None:
         self.groups, self.report = dict(groups), report
+        #: The columns of each group, to be used again: times, and values.
+        self._columns: dict[str, npt.NDArray[np.uint64]] = {}
         self._signals = {
             signal.full_name: signal for group in groups.values() for signal in group.values()
         }
