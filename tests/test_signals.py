@@ -12,6 +12,7 @@ cantools = pytest.importorskip("cantools")
 
 import canser  # noqa: E402
 from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray  # noqa: E402
+from canser.signals.report import UNKNOWN_ID_DTYPE  # noqa: E402
 from databases import (  # noqa: E402
     DATABASES,
     OWN,
@@ -111,14 +112,14 @@ def test_every_vector_in_one_array(name: str) -> None:
 @each_database
 def test_one_by_one_is_as_all_at_once(name: str) -> None:
     rows = vectors(name)
-    step = 1 + len(rows) // 60
     frames = numbered(each for each, _, _ in rows)
     whole = by_frame(opened(name).decode(frames), len(rows))
-    for i in range(0, len(rows), step):
-        alone = opened(name).decode(frames[i : i + 1])
-        assert shown({name: each.values.tolist()[0] for name, each in alone.items()}) == shown(
-            whole[i]
-        )
+    decoder = opened(name).decoder()
+    for i in range(0, len(rows), 1 + len(rows) // 150):
+        alone = decoder.feed(frames[i : i + 1])
+        assert shown({name: each.values.item() for name, each in alone.items()}) == shown(whole[i])
+    for i in range(0, len(rows), 1 + len(rows) // 2):
+        assert_same_signals(opened(name).decode(frames[i : i + 1]), decoder.feed(frames[i : i + 1]))
 
 
 @needs_databases
@@ -167,6 +168,22 @@ def test_every_message_with_every_dlc(name: str) -> None:
         for dlc in range(9)
     ]
     assert_like_plain(parsed(name), opened(name), frames)
+
+
+@needs_databases
+def test_a_database_in_utf8_gives_the_same_values() -> None:
+    frames = numbered(each for each, _, _ in vectors("edge.dbc"))
+    assert_same_signals(opened("edge-utf8.dbc").decode(frames), opened("edge.dbc").decode(frames))
+
+
+@needs_databases
+def test_what_cantools_refuses_is_told_and_the_rest_is_read() -> None:
+    with pytest.warns(canser.CanserWarning, match=r"tesla-broken\.dbc: .*line \d+ ") as warned:
+        broken = canser.Database(DATABASES / "tesla-broken.dbc")
+    assert len(warned) == 1
+    assert "UI_mapSpeedLimit" in str(warned[0].message)
+    frames = numbered(each for each, _, _ in vectors("tesla.dbc"))
+    assert_same_signals(broken.decode(frames), opened("tesla.dbc").decode(frames))
 
 
 # Whole captures.
@@ -439,8 +456,26 @@ def test_short_frames_split_a_group(own: canser.Database) -> None:
     assert_groups(signals)
     assert signals["Plain.Fourth"].group == "Plain[dlc>=4]"
     assert signals["Plain.Last"].group == "Plain[dlc>=8]"
-    assert signals["Plain.First"].group == "Plain[dlc>=1]"
+    assert signals["Plain.First"].group == "Plain"
     assert present(signals.report.short) == {"Plain": 4}
+
+
+def test_a_page_with_a_name_and_no_signals_is_known(tmp_path: Path) -> None:
+    text = OWN + 'VAL_ 257 Page 1 "one" 5 "nothing" ;\n'
+    frames = [frame(0x101, False, bytes([page, *range(7)])) for page in (1, 4, 5, 6)]
+    database = canser.Database(written(tmp_path, text))
+    theirs = cantools.database.load_string(text, "dbc", strict=False)
+    assert [decodes(theirs, each) for each in frames] == [True, False, True, False]
+    report = assert_like_plain(theirs, database, frames).report
+    assert present(report.unknown_pages) == {"Paged": 2}
+
+
+def decodes(database: Any, each: Frame) -> bool:
+    try:
+        database.decode_message(each.id, each.data)
+    except cantools.database.DecodeError:
+        return False
+    return True
 
 
 def test_a_multiplexer_that_is_not_there_has_no_pages(own: canser.Database) -> None:
@@ -551,7 +586,7 @@ def test_no_frames(own: canser.Database) -> None:
     report = signals.report
     assert report.frame_count == report.remote_count == report.error_count == 0
     assert set(report.never_seen) == set(own.messages)
-    assert report.unknown_ids.dtype == canser.UNKNOWN_ID_DTYPE
+    assert report.unknown_ids.dtype == UNKNOWN_ID_DTYPE
     assert_same_report(own.decoder().report, report)
 
 

@@ -100,8 +100,8 @@ SG_MUL_VAL_ 258 Other Outer 0-0;
 
 
 def encoding_of(name: str) -> str | None:
-    """Return what a database of the folder is to be read as."""
-    return "utf-8" if name in ("boat.dbc", "edge-utf8.dbc") else None
+    """Return what cantools must be told; canser finds it out."""
+    return "utf-8" if name in ("boat.dbc", "edge-utf8.dbc", "vw_mqb.dbc") else None
 
 
 @cache
