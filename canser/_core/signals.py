@@ -149,16 +149,13 @@ class SignalTables:
         """Frames without a message whose id is not kept."""
         return int(self._database.other_count)
 
-    def reset(self) -> None:
-        """Set all that is counted to 0. Ids stay."""
-        self.pages["dlcs"] = 0
-        self.messages["short_count"] = self.messages["unknown_count"] = 0
-        self._ids["count"] = 0
-        database = self._database
-        database.remote_count = database.error_count = database.other_count = 0
+    def count(self, frames: FrameArray) -> tuple[Routes, npt.NDArray[np.uint64]]:
+        """Count contiguous frames: in `ids`, `messages` and `pages`.
 
-    def count(self, frames: FrameArray) -> Routes:
-        """Count contiguous frames: in `ids`, `messages` and `pages`. Return where each belongs."""
+        Returns where each belongs, and how many of these frames each page has by their dlc, an
+        array of shape (pages, 9).
+        """
+        before = self.pages["dlcs"].copy()
         routes = np.empty(len(frames), np.uint16)
         frames_at, routes_at = input_frames(frames), ffi.from_buffer("uint16_t[]", routes)
         done = 0
@@ -171,7 +168,7 @@ class SignalTables:
             )
             done += self._used[0]
             if done == len(frames):
-                return routes
+                return routes, self.pages["dlcs"] - before
             self._move_ids(2 * len(self._ids))
 
     def decode(self, frames: FrameArray, routes: Routes, groups: Records, signals: Records) -> None:

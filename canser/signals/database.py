@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from canser._checks import choice, flag, text
-from canser._frames import FRAME_DTYPE, FrameArray
+from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray
 from canser.errors import CanserWarning
 from canser.signals.dbc import load_file
 from canser.signals.decoder import SignalDecoder
@@ -23,6 +23,9 @@ from canser.signals.signals import Signals
 __all__ = ["Database"]
 
 _MATCHES: Final = ("auto", "id", "pgn")
+
+# Selections of signals whose tables are kept.
+_LAYOUTS: Final = 8
 
 
 class Database:
@@ -95,6 +98,7 @@ class Database:
                 messages[message.name] = ids[message.id, message.ext] = message
         self.messages: Mapping[str, Message] = MappingProxyType(messages)
         self.left_out: Mapping[str, str] = MappingProxyType(left_out)
+        self._layouts: dict[tuple[frozenset[str] | None, bool], Layout] = {}
 
     def __repr__(self) -> str:
         count = sum(len(message.signals) for message in self.messages.values())
@@ -183,8 +187,7 @@ class Database:
         """
         flag(raw, "raw")
         selected = None if names is None else self._find(names)
-        layout = Layout(tuple(self.messages.values()), selected=selected, keeps_raw=raw)
-        return SignalDecoder(layout)
+        return SignalDecoder(self._layout(selected, keeps_raw=raw))
 
     def encode(self, messages: Mapping[str, Mapping[str, float | str]]) -> FrameArray:
         """Make frames from values of signals.
@@ -198,7 +201,7 @@ class Database:
         Returns
         -------
         array of FRAME_DTYPE, shape (n,)
-            A data frame for each message, in their order, at the time 0. Bits of no signal are 0.
+            A data frame for each message, in their order, without a time. Bits of no signal are 0.
 
         Raises
         ------
@@ -211,16 +214,26 @@ class Database:
         >>> frames = db.encode({"EngineData": {"RPM": 2000, "Gear": "first"}})
         >>> canser.show(frames)
         (0.000000) can0 123#401F010000000000
-        1 frame
+        1 frame; a time that is not known is shown as 0
         """
         frames = np.zeros(len(messages), FRAME_DTYPE)
         for frame, (name, values) in zip(frames, messages.items(), strict=True):
             if name not in self.messages:
                 raise ValueError(_unknown(name, "message", self.messages))
             encode_message(self.messages[name], values, frame)
+        frames["ts"] = NO_TIME
         return frames
 
-    def _find(self, names: Iterable[str] | str) -> set[str]:
+    def _layout(self, selected: frozenset[str] | None, *, keeps_raw: bool) -> Layout:
+        """Return the tables for these signals; the last ones are kept, as large ones take 50 ms."""
+        key = selected, keeps_raw
+        if key not in self._layouts:
+            layout = Layout(tuple(self.messages.values()), selected=selected, keeps_raw=keeps_raw)
+            self._layouts = dict([*self._layouts.items(), (key, layout)][-_LAYOUTS:])
+            return layout
+        return self._layouts[key]
+
+    def _find(self, names: Iterable[str] | str) -> frozenset[str]:
         """Return the full names of the signals that are named."""
         full = [
             f"{message.name}.{name}"
@@ -234,7 +247,7 @@ class Database:
             if not matching:
                 raise ValueError(_unknown(pattern, "signal", full))
             found.update(matching)
-        return found
+        return frozenset(found)
 
 
 def _is_named(full: str, pattern: str) -> bool:

@@ -1,5 +1,6 @@
 """Frames to signals: the tables of a database, fed with arrays of frames."""
 
+import threading
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
@@ -7,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from canser._checks import instance
-from canser._core.signals import GROUP_DTYPE, SIGNAL_DTYPE, Routes
+from canser._core.signals import GROUP_DTYPE, Routes
 from canser._frames import FrameArray, check_frames, copy_records
-from canser.signals.layout import Layout, Page, Plan
-from canser.signals.report import Counts, DecodeReport
+from canser.signals.layout import Layout, Page
+from canser.signals.plans import Plan
+from canser.signals.report import DecodeReport, make_report
 from canser.signals.signals import Group, Signal, Signals
 
 __all__ = ["SignalDecoder"]
@@ -41,12 +43,15 @@ class SignalDecoder:
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
         self._tables = layout.tables()
-        self._total = Counts(layout.messages)
+        self._frame_count = 0
+        # Two threads may not count at the same time.
+        self._lock = threading.Lock()
 
     @property
     def report(self) -> DecodeReport:
         """What was decoded of all batches, and what was not, and why."""
-        return self._total.report()
+        with self._lock:
+            return make_report(self._layout.messages, self._tables, self._frame_count)
 
     def feed(self, frames: FrameArray, *, out: Signals | None = None) -> Signals:
         """Decode a batch of frames.
@@ -62,7 +67,7 @@ class SignalDecoder:
         Returns
         -------
         Signals
-            The signals of this batch, and their report.
+            The signals of this batch. Its report is that of all batches so far.
 
         Raises
         ------
@@ -74,66 +79,71 @@ class SignalDecoder:
             instance(out, "out", Signals)
         if not (frames.flags.c_contiguous and frames.flags.aligned):
             frames = copy_records(frames)
-        tables = self._tables
-        tables.reset()
-        routes = tables.count(frames)
-        counts = Counts.of(self._layout.messages, tables, len(frames))
-        self._total.add(counts)
-        parts = list(self._parts())
-        columns = _columns(parts, out)
-        self._decode(frames, routes, parts, columns)
+        with self._lock:
+            routes, counts = self._tables.count(frames)
+            self._frame_count += len(frames)
+            parts = list(self._parts(counts))
+            columns = _columns(parts, out)
+            self._decode(frames, routes, parts, columns)
         groups = {part.name: _group(part, rows) for part, rows in zip(parts, columns, strict=True)}
-        found = Signals(groups, counts.report())
-        found._columns = dict(zip(groups, columns, strict=True))
-        return found
+        return Signals(groups, self, dict(zip(groups, columns, strict=True)))
 
-    def _parts(self) -> Iterator[_Part]:
-        """Yield the groups of the batch: those with samples, and all that were selected by name.
+    def _parts(self, dlcs: npt.NDArray[np.uint64]) -> Iterator[_Part]:
+        """Yield the groups of a batch: those with samples, and all that were selected by name.
 
-        Signals of a page that need different lengths have the same samples as long as no frame is
-        shorter than one of them.
+        `dlcs` are the frames of each page by their dlc. Signals of a page that need different
+        lengths have the same samples as long as no frame is shorter than one of them.
         """
         pages = self._tables.pages
         pages["group_count"] = 0
         # Frames of each page with a dlc, or a longer one.
-        counts = np.cumsum(pages["dlcs"][:, ::-1], axis=1)[:, ::-1]
-        is_wanted = self._layout.is_selected | (counts[:, 0] > 0)
+        counts = np.cumsum(dlcs[:, ::-1], axis=1)[:, ::-1]
+        is_selected = self._layout.is_selected
         first = 0
-        for number in np.flatnonzero(is_wanted).tolist():
+        for number in np.flatnonzero(counts[:, 0] + is_selected).tolist():
             page = self._layout.pages[number]
             parts: dict[int, _Part] = {}
             for least_dlc, plans in page.plans.items():
-                count = int(counts[number, least_dlc])
-                if not count and not self._layout.is_selected:
-                    continue
-                if count in parts:
-                    same = parts[count]
-                    parts[count] = same._replace(plans=same.plans + plans, least_dlc=least_dlc)
-                else:
+                samples = int(counts[number, least_dlc])
+                if samples in parts:
+                    same = parts[samples]
+                    parts[samples] = same._replace(plans=same.plans + plans, least_dlc=least_dlc)
+                elif samples or is_selected:
                     name = f"{page.name}[dlc>={least_dlc}]" if parts else page.name
-                    parts[count] = _Part(name, page, list(plans), least_dlc, count)
-            pages[number]["first_group"], pages[number]["group_count"] = first, len(parts)
-            first += len(parts)
-            yield from parts.values()
+                    parts[samples] = _Part(name, page, plans, least_dlc, samples)
+            if parts:
+                pages["first_group"][number], pages["group_count"][number] = first, len(parts)
+                first += len(parts)
+                yield from parts.values()
 
     def _decode(
         self, frames: FrameArray, routes: Routes, parts: list[_Part], columns: list[_Columns]
     ) -> None:
-        records = [record for part in parts for plan in part.plans for record in plan.records]
-        signals = np.array(records, SIGNAL_DTYPE)
-        groups = np.zeros(len(parts), GROUP_DTYPE)
-        groups["ts"] = [rows.ctypes.data for rows in columns]
-        groups["cap"] = [part.samples for part in parts]
-        groups["least_dlc"] = [part.least_dlc for part in parts]
-        counts = [sum(len(plan.records) for plan in part.plans) for part in parts]
-        groups["signal_count"] = counts
-        groups["first_signal"] = np.cumsum([0, *counts])[:-1]
-        groups["has_big"] = [any(plan.info.is_big_endian for plan in part.plans) for part in parts]
-        signals["values"] = [
-            rows.ctypes.data + (at + 1) * rows.strides[0]
-            for rows, count in zip(columns, counts, strict=True)
-            for at in range(count)
+        rows = [
+            (rows.ctypes.data, part.samples, part.least_dlc)
+            for part, rows in zip(parts, columns, strict=True)
         ]
+        groups = np.zeros(len(parts), GROUP_DTYPE)
+        for name, values in zip(("ts", "cap", "least_dlc"), zip(*rows, strict=True), strict=False):
+            groups[name] = values
+        numbers: list[int] = []
+        places: list[int] = []
+        for place, part in enumerate(parts):
+            before = len(numbers)
+            for plan in part.plans:
+                numbers += range(plan.first, plan.first + len(plan.records))
+            places += [place] * (len(numbers) - before)
+        signals = self._layout.records[numbers]
+        of_group = np.array(places, np.intp)
+        counts = np.bincount(of_group, minlength=len(parts))
+        groups["signal_count"] = counts
+        groups["first_signal"] = np.cumsum(counts) - counts
+        is_big = np.bincount(of_group, signals["field"]["is_big"], minlength=len(parts))
+        groups["has_big"] = is_big > 0
+        # The rows of a group's columns: the times, then the signals.
+        steps = np.array([rows.strides[0] for rows in columns], np.uint64)
+        row = np.arange(len(signals)) - groups["first_signal"][of_group] + 1
+        signals["values"] = groups["ts"][of_group] + row.astype(np.uint64) * steps[of_group]
         self._tables.decode(frames, routes, groups, signals)
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,13 +9,10 @@ import numpy.typing as npt
 from canser._core.signals import NO_MESSAGE, SignalTables
 from canser.signals.messages import Message
 
-__all__ = ["UNKNOWN_ID_DTYPE", "Counts", "DecodeReport"]
+__all__ = ["UNKNOWN_ID_DTYPE", "DecodeReport", "make_report"]
 
 # An id that no message of the database has.
 UNKNOWN_ID_DTYPE = np.dtype([("id", np.uint32), ("ext", np.bool_), ("count", np.int64)])
-
-# Rows of unknown ids that are put together from batches before equal ids are added up.
-_ROWS = 1 << 16
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -85,72 +81,33 @@ class DecodeReport:
         return "\n".join(lines)
 
 
-class Counts:
-    """Counters of batches, which add up."""
+def make_report(
+    messages: Sequence[Message], tables: SignalTables, frame_count: int
+) -> DecodeReport:
+    """Return what the tables have counted in so many frames."""
+    frames = _named(messages, tables.pages["dlcs"].sum(axis=1)[tables.messages["page"]])
+    ids = tables.ids
+    ids = ids[(ids["count"] > 0) & (ids["message"] == NO_MESSAGE)]
+    unknown = np.zeros(len(ids), UNKNOWN_ID_DTYPE)
+    for name in UNKNOWN_ID_DTYPE.names or ():
+        unknown[name] = ids[name]
+    order = np.lexsort([unknown["id"], unknown["ext"], -unknown["count"]])
+    return DecodeReport(
+        frame_count=frame_count,
+        messages=frames,
+        unknown_ids=unknown[order],
+        never_seen=tuple(each.name for each in messages if each.name not in frames),
+        short=_named(messages, tables.messages["short_count"]),
+        unknown_pages=_named(messages, tables.messages["unknown_count"]),
+        remote_count=tables.remote_count,
+        error_count=tables.error_count,
+        other_count=tables.other_count,
+    )
 
-    def __init__(self, messages: Sequence[Message]) -> None:
-        self._messages = messages
-        #: Frames, short ones, and those with an unknown page, by the number of the message.
-        self._by_message = np.zeros((3, len(messages)), np.int64)
-        self._unknown = [np.zeros(0, UNKNOWN_ID_DTYPE)]
-        #: Frames, remote frames, error frames, frames of other ids.
-        self._frames = np.zeros(4, np.int64)
 
-    @classmethod
-    def of(cls, messages: Sequence[Message], tables: SignalTables, frame_count: int) -> "Counts":
-        """Return the counters of one batch."""
-        self = cls(messages)
-        ids = tables.ids
-        ids = ids[ids["count"] > 0]
-        is_known = ids["message"] != NO_MESSAGE
-        known = ids[is_known]
-        self._by_message[0] = tables.pages["dlcs"].sum(axis=1)[tables.messages["page"]]
-        self._by_message[1] = tables.messages["short_count"]
-        self._by_message[2] = tables.messages["unknown_count"]
-        unknown = np.zeros(len(ids) - len(known), UNKNOWN_ID_DTYPE)
-        for name in UNKNOWN_ID_DTYPE.names or ():
-            unknown[name] = ids[name][~is_known]
-        self._unknown = [unknown]
-        self._frames[:] = (frame_count, tables.remote_count, tables.error_count, tables.other_count)
-        return self
-
-    def add(self, other: "Counts") -> None:
-        """Add the counters of another one."""
-        self._by_message += other._by_message
-        self._frames += other._frames
-        self._unknown += other._unknown
-        if sum(map(len, self._unknown)) > _ROWS + 2 * len(self._unknown[0]):
-            self._unknown = [self._unknown_ids()]
-
-    def report(self) -> DecodeReport:
-        """Return what was counted."""
-        frames, short, unknown = (self._named(each) for each in self._by_message)
-        frame_count, remote_count, error_count, other_count = self._frames.tolist()
-        return DecodeReport(
-            frame_count=frame_count,
-            messages=frames,
-            unknown_ids=self._unknown_ids(),
-            never_seen=tuple(each.name for each in self._messages if each.name not in frames),
-            short=short,
-            unknown_pages=unknown,
-            remote_count=remote_count,
-            error_count=error_count,
-            other_count=other_count,
-        )
-
-    def _named(self, counts: npt.NDArray[np.int64]) -> dict[str, int]:
-        return {
-            message.name: count
-            for message, count in zip(self._messages, counts.tolist(), strict=True)
-            if count
-        }
-
-    def _unknown_ids(self) -> npt.NDArray[Any]:
-        """Return the ids, each once, the most frequent first."""
-        rows = np.concatenate(self._unknown)
-        keys = rows["id"] | rows["ext"].astype(np.uint32) << np.uint32(31)
-        _, first, places = np.unique(keys, return_index=True, return_inverse=True)
-        found = rows[first]
-        found["count"] = 0
-        np.add.at(found["count"], places, rows["count"])
-        return found[np.argsort(-found["count"], kind="stable")]
+def _named(messages: Sequence[Message], counts: npt.NDArray[np.uint64]) -> dict[str, int]:
+    return {
+        message.name: count
+        for message, count in zip(messages, counts.tolist(), strict=True)
+        if count
+    }

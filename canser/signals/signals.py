@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +11,13 @@ import numpy.typing as npt
 from canser.signals.report import DecodeReport
 
 __all__ = ["Group", "Signal", "Signals", "find_signal"]
+
+
+class _Reports(Protocol):
+    """Has a report."""
+
+    @property
+    def report(self) -> DecodeReport: ...
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -108,17 +116,27 @@ class Signals(Mapping[str, Signal]):
     ----------
     groups : mapping of str to Group
         The same signals by the groups that share their times.
-    report : DecodeReport
-        What was decoded, and what was not, and why.
     """
 
-    def __init__(self, groups: Mapping[str, Group], report: DecodeReport) -> None:
-        self.groups, self.report = dict(groups), report
+    def __init__(
+        self,
+        groups: Mapping[str, Group],
+        source: DecodeReport | _Reports,
+        columns: Mapping[str, npt.NDArray[np.uint64]] = MappingProxyType({}),
+    ) -> None:
+        self.groups = dict(groups)
+        self._source = source
         #: The columns of each group, to be used again: times, and values.
-        self._columns: dict[str, npt.NDArray[np.uint64]] = {}
+        self._columns = columns
         self._signals = {
             signal.full_name: signal for group in groups.values() for signal in group.values()
         }
+
+    @property
+    def report(self) -> DecodeReport:
+        """What was decoded so far, and what was not, and why."""
+        source = self._source
+        return source if isinstance(source, DecodeReport) else source.report
 
     def __getitem__(self, name: str) -> Signal:
         return find_signal(self._signals, name)
