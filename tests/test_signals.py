@@ -2,6 +2,7 @@
 
 import math
 import random
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +35,8 @@ from databases import (  # noqa: E402
 from plain_signals import decode_plainly, is_whole  # noqa: E402
 from reference import Frame  # noqa: E402
 from samples import array  # noqa: E402
+from shared import CAPTURES, needs_captures  # noqa: E402
 from shared import expected as logged  # noqa: E402
-from shared import needs_captures  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +120,10 @@ def test_one_by_one_is_as_all_at_once(name: str) -> None:
         alone = decoder.feed(frames[i : i + 1])
         assert shown({name: each.values.item() for name, each in alone.items()}) == shown(whole[i])
     for i in range(0, len(rows), 1 + len(rows) // 2):
-        assert_same_signals(opened(name).decode(frames[i : i + 1]), decoder.feed(frames[i : i + 1]))
+        alone = opened(name).decode(frames[i : i + 1])
+        assert shown({name: each.values.item() for name, each in alone.items()}) == shown(whole[i])
+        assert alone.report.frame_count == 1
+    assert decoder.report.frame_count == len(range(0, len(rows), 1 + len(rows) // 150))
 
 
 @needs_databases
@@ -290,7 +294,7 @@ def assert_feeds_like_whole(
     while begin < len(frames):
         size = sizes[turn % len(sizes)]
         for name, signal in decoder.feed(frames[begin : begin + size]).items():
-            columns.setdefault(name, []).append((signal.ts.copy(), signal.values.copy()))
+            columns.setdefault(name, []).append((signal.ts, signal.values))
         begin, turn = begin + size, turn + 1
     assert set(columns) == set(signals)
     for name, parts in columns.items():
@@ -672,6 +676,57 @@ def test_several_databases_are_one(tmp_path: Path) -> None:
         "Broadcast.Speed",
     }
     assert list(both.messages) == [each.split()[1].rstrip(":") for each in messages]
+
+
+def test_more_ids_than_are_kept(own: canser.Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("canser._core.signals._IDS_MOST", 64)
+    noise = [frame(number, True, bytes(8)) for number in range(1000)]
+    group = [frame(0x18FEF100 + source, True, bytes([source] * 8)) for source in range(250)]
+    known = [frame(0x100, False, bytes(8)), frame(0x18FEF151, True, b"\x07")]
+    frames = numbered([*noise, *group, *known, *noise])
+    decoder = own.decoder()
+    for turn in (1, 2):
+        signals = decoder.feed(frames)
+        speeds = [source * 257 * 0.125 for source in range(250) if source != 0x51]
+        assert signals["Speed"].values.tolist() == speeds
+        assert signals["Own"].values.tolist() == [0x51, 7]
+        assert len(signals["Plain.First"]) == 1
+        report = decoder.report
+        counts = {"SameNumber": 1, "Broadcast": 249, "OneSource": 2, "Plain": 1}
+        assert report.messages == {name: turn * count for name, count in counts.items()}
+        assert 0 < len(report.unknown_ids) <= 64
+        kept = sum(report.unknown_ids["count"].tolist())
+        assert kept + report.other_count == turn * (2000 - 1)
+        assert report.frame_count == turn * len(frames)
+
+
+def test_threads_do_not_disturb_each_other(own: canser.Database) -> None:
+    random_ = random.Random(3)
+    parts = [
+        numbered(
+            frame(random_.choice([0x100, 0x101, 0x102]), False, random_.randbytes(8))
+            for _ in range(300)
+        )
+        for _ in range(8)
+    ]
+    alone = [own.decode(part) for part in parts]
+    with ThreadPoolExecutor(8) as pool:
+        for one, other in zip(pool.map(own.decode, parts), alone, strict=True):
+            assert_same_signals(one, other)
+
+
+@needs_databases
+@needs_captures
+def test_blocks_of_a_file_are_fed(
+    captures: dict[str, tuple[FrameArray, canser.Signals]],
+) -> None:
+    decoder = opened("car.dbc").decoder(["ID_D4.*"])
+    parts = [decoder.feed(block) for block in canser.blocks(CAPTURES / "car.serial.bin", "serial")]
+    whole = captures["car"][1]
+    for name in ("ID_D4.WS_FL", "ID_D4.WS_RR"):
+        values = np.concatenate([part[name].values for part in parts])
+        assert np.array_equal(values, whole[name].values)
+    assert_same_report(decoder.report, whole.report)
 
 
 # Arithmetic.

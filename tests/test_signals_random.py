@@ -51,6 +51,7 @@ class Line:
     is_multiplexer: bool = False
     parent: str | None = None
     pages: tuple[tuple[int, int], ...] = ()
+    texts: tuple[int, ...] = ()
 
     def text(self) -> str:
         mark = f"m{self.pages[0][0]}" if self.parent else ""
@@ -63,6 +64,10 @@ class Line:
         ranges = ", ".join(f"{low}-{high}" for low, high in self.pages)
         return f"SG_MUL_VAL_ {number} {self.name} {self.parent} {ranges};\n"
 
+    def names(self, number: int) -> str:
+        texts = "".join(f'{value} "text {value}" ' for value in self.texts)
+        return f"VAL_ {number} {self.name} {texts};\n" if texts else ""
+
     def type(self, number: int) -> str:
         kind = 2 if "|64@" in self.place else 1
         return f"SIG_VALTYPE_ {number} {self.name} : {kind};\n" if self.is_float else ""
@@ -71,8 +76,8 @@ class Line:
 @st.composite
 def placed(draw: st.DrawFn, name: str, room: int, longest: int, floats: bool) -> Line:
     """Return a signal anywhere in `room` bits; one may lie over the other."""
-    is_float = floats and room >= 32 and draw(st.integers(0, 4)) == 0
-    lengths = [each for each in (32, 64) if each <= room]
+    is_float = floats and room >= 16 and draw(st.integers(0, 4)) == 0
+    lengths = [each for each in (16, 32, 64) if each <= room]
     length = draw(st.sampled_from(lengths) if is_float else st.integers(1, min(room, longest)))
     first = draw(st.integers(0, room - length))
     little = draw(st.booleans())
@@ -89,6 +94,10 @@ PAGES = st.lists(
 ).map(tuple)
 
 
+# Signals with texts keep their raw numbers; a multiplexer's value with a text is known.
+TEXTS = st.just(()) | st.lists(st.integers(-1, 8), min_size=1, max_size=3, unique=True).map(tuple)
+
+
 @st.composite
 def signals(draw: st.DrawFn, room: int) -> list[Line]:
     """Return the signals of a message, with up to three multiplexers, side by side or nested."""
@@ -96,16 +105,18 @@ def signals(draw: st.DrawFn, room: int) -> list[Line]:
     for i in range(draw(st.integers(0, 3))):
         line = draw(placed(f"Page{i}", room, 4, floats=False))
         line.is_multiplexer = True
+        line.texts = draw(TEXTS)
         if lines and draw(st.booleans()):
             line.parent, line.pages = draw(st.sampled_from(lines)).name, draw(PAGES)
         lines.append(line)
     multiplexers = list(lines)
     for i in range(draw(st.integers(1, 6))):
         line = draw(placed(f"S{i}", room, 64, floats=True))
+        line.texts = draw(TEXTS)
         if multiplexers and draw(st.booleans()):
             line.parent, line.pages = draw(st.sampled_from(multiplexers)).name, draw(PAGES)
         lines.append(line)
-    return draw(st.permutations(lines))
+    return list(draw(st.permutations(lines)))
 
 
 IDS = st.one_of(
@@ -125,7 +136,7 @@ def databases(draw: st.DrawFn) -> str:
         length = draw(st.sampled_from([8, 8, 8, 5, 1, 0]))
         lines = draw(signals(8 * length)) if length else []
         messages += f"BO_ {coded} M{i}: {length} X\n" + "".join(x.text() for x in lines) + "\n"
-        rest += "".join(x.selects(coded) + x.type(coded) for x in lines)
+        rest += "".join(x.selects(coded) + x.type(coded) + x.names(coded) for x in lines)
     return f'VERSION ""\n\nBU_: X\n\n{messages}{rest}'
 
 

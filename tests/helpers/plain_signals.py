@@ -13,7 +13,7 @@ Number = int | float
 
 INT64, UINT64 = range(-(2**63), 2**63), range(2**64)
 
-_FLOATS = {32: ">f", 64: ">d"}
+_FLOATS = {16: ">e", 32: ">f", 64: ">d"}
 
 
 @dataclass
