@@ -54,6 +54,7 @@ NAMES = [
     "RecorderStatus",
     "RecordingError",
     "RecordingInfo",
+    "Resampled",
     "SendError",
     "SendTimeoutError",
     "Simulator",
