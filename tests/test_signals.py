@@ -578,6 +578,7 @@ def test_texts_are_those_of_raw_values(own: canser.Database) -> None:
     )
     assert (gear.values.tolist(), scaled.values.tolist()) == ([-1], [6.0])
     assert scaled.raw is not None
+    assert scaled.choices is not None
     assert scaled.choices[scaled.raw.tolist()[0]] == "raw ten"
 
 
@@ -612,13 +613,12 @@ def test_arrays_of_any_layout(own: canser.Database) -> None:
 
 
 def test_only_frames_are_decoded(own: canser.Database) -> None:
-    with pytest.raises(TypeError, match="FRAME_DTYPE"):
-        own.decode(np.zeros(3))
-    with pytest.raises(ValueError, match="dimensions"):
-        own.decode(np.zeros((2, 2), FRAME_DTYPE))
-    for frames in (np.zeros(3), np.zeros((2, 2), FRAME_DTYPE)):
-        with pytest.raises((TypeError, ValueError)):
-            own.decoder().feed(frames)
+    numbers: Any = np.zeros(3)
+    for call in (own.decode, own.decoder().feed):
+        with pytest.raises(TypeError, match="FRAME_DTYPE"):
+            call(numbers)
+        with pytest.raises(ValueError, match="dimensions"):
+            call(np.zeros((2, 2), FRAME_DTYPE))
 
 
 def test_lengths_and_ids_out_of_range_do_no_harm(own: canser.Database) -> None:

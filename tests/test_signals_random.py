@@ -106,14 +106,16 @@ def signals(draw: st.DrawFn, room: int) -> list[Line]:
         line = draw(placed(f"Page{i}", room, 4, floats=False))
         line.is_multiplexer = True
         line.texts = draw(TEXTS)
-        if lines and draw(st.booleans()):
+        is_below = draw(st.booleans())
+        if lines and is_below:
             line.parent, line.pages = draw(st.sampled_from(lines)).name, draw(PAGES)
         lines.append(line)
     multiplexers = list(lines)
     for i in range(draw(st.integers(1, 6))):
         line = draw(placed(f"S{i}", room, 64, floats=True))
         line.texts = draw(TEXTS)
-        if multiplexers and draw(st.booleans()):
+        is_below = draw(st.booleans())
+        if multiplexers and is_below:
             line.parent, line.pages = draw(st.sampled_from(multiplexers)).name, draw(PAGES)
         lines.append(line)
     return list(draw(st.permutations(lines)))
