@@ -3,6 +3,7 @@
 import math
 import random
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,9 @@ cantools = pytest.importorskip("cantools")
 
 import canser  # noqa: E402
 from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray  # noqa: E402
+from canser.signals.decoder import SignalDecoder  # noqa: E402
+from canser.signals.layout import Layout  # noqa: E402
+from canser.signals.messages import Message, SignalInfo  # noqa: E402
 from canser.signals.report import UNKNOWN_ID_DTYPE  # noqa: E402
 from databases import (  # noqa: E402
     DATABASES,
@@ -32,6 +36,7 @@ from databases import (  # noqa: E402
     present,
     shown,
 )
+from long import takes_long  # noqa: E402
 from plain_signals import decode_plainly, is_whole  # noqa: E402
 from reference import Frame  # noqa: E402
 from samples import array  # noqa: E402
@@ -698,6 +703,38 @@ def test_more_ids_than_are_kept(own: canser.Database, monkeypatch: pytest.Monkey
         kept = sum(report.unknown_ids["count"].tolist())
         assert kept + report.other_count == turn * 1998
         assert report.frame_count == turn * len(frames)
+
+
+@takes_long
+def test_more_pages_than_a_route_can_name() -> None:
+    info = SignalInfo(
+        name="S",
+        start=0,
+        bit_count=8,
+        is_big_endian=False,
+        is_signed=False,
+        is_float=False,
+        scale=1,
+        offset=0,
+        minimum=None,
+        maximum=None,
+        unit="",
+        comment="",
+        choices=None,
+        multiplexer=None,
+        pages=(),
+        is_multiplexer=False,
+    )
+    plain = Message(
+        name="", id=0, ext=True, length=8, pgn=None, comment="", signals={"S": info}, path=""
+    )
+    messages = tuple(replace(plain, name=f"M{number}", id=number) for number in range(66_000))
+    decoder = SignalDecoder(Layout(messages, selected=None, keeps_raw=False))
+    numbers = [0, 65_533, 65_534, 65_535, 65_536, 65_999, 66_000]
+    signals = decoder.feed(numbered(frame(i, True, bytes([i % 251])) for i in numbers))
+    assert {name: each.values.tolist() for name, each in signals.items()} == {
+        f"M{number}.S": [number % 251] for number in numbers[:-1]
+    }
 
 
 def test_threads_do_not_disturb_each_other(own: canser.Database) -> None:
