@@ -27,18 +27,6 @@ PAGES = {
 PACKAGES = ("cantools", "duckdb", "matplotlib", "pandas", "polars", "pyarrow", "xarray")
 
 
-def database(frames: canser.FrameArray) -> str:
-    """Return the text of a DBC for two ids of the traffic, with the signals RPM and Speed."""
-    long = frames["id"][~frames["ext"] & ~frames["rtr"] & (frames["dlc"] == 8)]
-    engine_id, vehicle_id = list(dict.fromkeys(long.tolist()))[:2]
-    return f"""BU_: ECU
-BO_ {engine_id} EngineData: 8 ECU
- SG_ RPM : 0|16@1+ (0.25,0) [0|16000] "rpm" ECU
-BO_ {vehicle_id} VehicleData: 8 ECU
- SG_ Speed : 0|16@1+ (0.01,0) [0|400] "km/h" ECU
-"""
-
-
 def blocks(page: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", PAGES[page], re.DOTALL | re.MULTILINE)
 
@@ -53,7 +41,6 @@ def test_the_python_of_a_page_runs(
     monkeypatch.chdir(tmp_path)
     shutil.copy(DOCS.parent / "examples" / "car.dbc", ".")
     Path("run.bin").write_bytes(canser.encode(vehicle(2), "serial"))
-    Path("car.dbc").write_text(database(vehicle(2)), encoding="utf-8")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what these formats cannot hold
         for name in ("run.asc", "run.blf", "run.csv", "monday.log", "tuesday.asc", "two-buses.log"):
