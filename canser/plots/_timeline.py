@@ -1,0 +1,253 @@
+"""The time axis that all pictures share: without jumps of the clock, with holes of the bus marked.
+
+A run is a stretch of time without a jump and without a hole; `canser.id_stats` tells what these
+are. Runs stand side by side. Behind a jump of the clock back, time goes on without a pause. A long
+hole is drawn short, and has its length as text: otherwise an hour in which the recorder was off
+would leave no room for the frames.
+"""
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from canser._core.ids import runs_of
+from canser._frames import YEAR_2000_NS, FrameArray
+from canser.plots._style import NOTE_PT, Style
+from canser.plots._text import LONG_S, clock_text, count_text, duration_text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["Hole", "Timeline"]
+
+_Ints = npt.NDArray[np.int64]
+_Floats = npt.NDArray[np.float64]
+
+# A hole takes at most this share of the time with frames, and all holes together no more than the
+# second one.
+_HOLE_MOST: Final = 0.05
+_HOLES_MOST: Final = 0.5
+
+# Holes that are drawn and named at most, the longest ones; and restarts of the clock.
+_NAMED_MOST: Final = 12
+_DRAWN_MOST: Final = 200
+
+# Ticks of a time axis, in seconds, from an hour on.
+_LONG_STEPS: Final = (600, 900, 1800, 3600, 7200, 10800, 14400, 21600, 43200, 86400)
+
+
+class Hole(NamedTuple):
+    """A hole of the bus on the axis."""
+
+    #: Where it begins and ends, in seconds of the axis.
+    begin: float
+    end: float
+    #: Its true length, in seconds.
+    length: float
+
+
+class Timeline:
+    """Where the times of frames are on the axis, in seconds from the first frame.
+
+    Attributes
+    ----------
+    span : float
+        Length of the axis in seconds.
+    running : float
+        Seconds in which there were frames: without holes.
+    holes : list of Hole
+        The holes of the bus.
+    restarts : list of float
+        Where the clock stepped back, in seconds of the axis.
+    count : int
+        Frames that have a time.
+    untimed : int
+        Frames that are left out, as their times are not known or false.
+    """
+
+    def __init__(self, frames: FrameArray) -> None:
+        run_of = runs_of(frames)
+        self._known = None if run_of.all() else np.flatnonzero(run_of)
+        self._ts: _Ints = np.ascontiguousarray(frames["ts"])
+        if self._known is not None:
+            self._ts, run_of = self._ts[self._known], run_of[self._known]
+        self._every, self.count = len(frames), len(self._ts)
+        self.untimed = self._every - self.count
+        self.holes: list[Hole] = []
+        self.restarts: list[float] = []
+        self.span = self.running = 0.0
+        borders = np.flatnonzero(run_of[1:] != run_of[:-1]) + 1
+        self._firsts = np.concatenate([[0], borders]) if len(self._ts) else np.zeros(0, np.int64)
+        if len(self._firsts):
+            self._lay_out()
+
+    def _lay_out(self) -> None:
+        """Put the runs side by side."""
+        firsts, ts = self._firsts, self._ts
+        begin, end = np.minimum.reduceat(ts, firsts), np.maximum.reduceat(ts, firsts)
+        lasts = np.append(firsts[1:], len(ts)) - 1
+        lengths = (end - begin) / 1e9
+        self.running = float(lengths.sum())
+        back = ts[firsts[1:]] < ts[lasts[:-1]]
+        # As uint64: a clock that goes from one end of 64 bits to the other has such a hole.
+        pauses = (begin[1:].view(np.uint64) - end[:-1].view(np.uint64)) / 1e9
+        pauses = np.where(back | (begin[1:] < end[:-1]), 0, pauses)
+        hole_count = int((pauses > 0).sum())
+        most = min(_HOLE_MOST, _HOLES_MOST / max(hole_count, 1)) * (self.running or 1.0)
+        drawn = np.minimum(pauses, most)
+        self._begin = begin
+        self._chain = np.concatenate([[0], np.cumsum(back)])
+        self._at = np.concatenate([[0], np.cumsum(lengths[:-1] + drawn)])
+        self._elapsed = np.concatenate([[0], np.cumsum(lengths[:-1] + pauses)])
+        self._lengths = lengths
+        self.span = float(self._at[-1] + lengths[-1])
+        ends = self._at[1:]
+        for place in np.flatnonzero(pauses > 0):
+            stop = float(ends[place])
+            self.holes.append(Hole(stop - float(drawn[place]), stop, float(pauses[place])))
+        self.restarts = ends[back].tolist()
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds from the first frame to the last one, with holes and without jumps."""
+        return float(self._elapsed[-1] + self._lengths[-1]) if len(self._firsts) else 0.0
+
+    @property
+    def is_shortened(self) -> bool:
+        """Whether a hole is drawn shorter than it was."""
+        return any(hole.end - hole.begin < 0.999 * hole.length for hole in self.holes)
+
+    @property
+    def shown(self) -> float:
+        """The length of the axis: one second if all frames have one time."""
+        return self.span or 1.0
+
+    def places(self) -> _Floats:
+        """Return the seconds on the axis of all frames that have a time, shape (m,)."""
+        begin, at = self._of_frames(self._begin), self._of_frames(self._at)
+        return (self._ts - begin) / 1e9 + at
+
+    def place(self, chain: int, ns: _Ints) -> _Floats:
+        """Return the seconds on the axis of rising times; `chain`: how often the clock restarted.
+
+        Times between runs are in the hole between them.
+        """
+        runs = np.flatnonzero(self._chain == chain)
+        run = runs[np.clip(np.searchsorted(self._begin[runs], ns, "right") - 1, 0, None)]
+        since = (ns - self._begin[run]) / 1e9
+        limit = np.append(self._at[1:], np.inf)[run] - self._at[run]
+        return np.minimum(since, limit) + self._at[run]
+
+    def columns(self, count: int) -> npt.NDArray[np.int32]:
+        """Return the column of each frame, of `count` columns over the axis; -1 without a time."""
+        scale = count / self.shown
+        begin, at = self._of_frames(self._begin), self._of_frames(self._at)
+        found = np.multiply(self._ts - begin, scale / 1e9)
+        found += at * scale
+        column = np.minimum(found.astype(np.int32), count - 1)
+        if self._known is None:
+            return column
+        columns = np.full(self._every, -1, np.int32)
+        columns[self._known] = column
+        return columns
+
+    def _of_frames(self, values: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+        """Return the value of each frame's run."""
+        if len(values) == 1:
+            return values
+        return np.repeat(values, np.diff(self._firsts, append=len(self._ts)))
+
+    def note(self) -> str:
+        """Return what is to be known of the axis, "" if there is nothing."""
+        parts = []
+        if self.holes:
+            total = sum(hole.length for hole in self.holes)
+            holes = count_text(len(self.holes), "hole")
+            parts.append(f"hatched: no frame at all ({holes}, {duration_text(1e9 * total)})")
+        if self.restarts:
+            parts.append(f"dashed: the clock steps back ({len(self.restarts):,})")
+        if self.untimed:
+            frames = count_text(self.untimed, "frame")
+            parts.append(f"{frames} without a time, or with a false one, left out")
+        return "; ".join(parts)
+
+    def draw(self, ax: "Axes", style: Style, *, label: bool = True, names: bool = True) -> None:
+        """Draw holes and restarts, and set the ticks; `names`: write how long holes are."""
+        ax.set_xlim(0, self.shown)
+        longest = sorted(self.holes, key=lambda hole: -hole.length)[:_DRAWN_MOST]
+        for number, hole in enumerate(longest):
+            ax.axvspan(
+                hole.begin,
+                hole.end,
+                facecolor=style.ground,
+                edgecolor=style.faint,
+                hatch="////",
+                linewidth=0,
+                zorder=3,
+            )
+            if names and number < _NAMED_MOST:
+                self._name(ax, hole, style)
+        for place in self.restarts[:_DRAWN_MOST]:
+            ax.axvline(place, color=style.wrong, linestyle="--", linewidth=1, zorder=4)
+        self._set_ticks(ax)
+        if label:
+            unit = "h:mm:ss" if self.elapsed >= LONG_S else "s"
+            ax.set_xlabel(f"time since {self._start()}, {unit}")
+
+    def _start(self) -> str:
+        first = int(self._ts[0]) if len(self._ts) else 0
+        if first < YEAR_2000_NS:
+            return "the first frame"
+        return str(np.datetime64(first // 10**9, "s")).replace("T", " ") + " UTC"
+
+    def _name(self, ax: "Axes", hole: Hole, style: Style) -> None:
+        ax.text(
+            (hole.begin + hole.end) / 2,
+            0.5,
+            f"no frame for {duration_text(1e9 * hole.length)}",
+            transform=ax.get_xaxis_transform(),
+            rotation=90,
+            ha="center",
+            va="center",
+            fontsize=NOTE_PT,
+            color=style.text,
+            clip_on=True,
+            zorder=5,
+            bbox={"facecolor": style.ground, "edgecolor": "none", "pad": 1.5},
+        )
+
+    def _set_ticks(self, ax: "Axes") -> None:
+        """Write elapsed time under the axis, that of holes included."""
+        from matplotlib.ticker import FixedFormatter, FixedLocator  # noqa: PLC0415
+
+        if not self.is_shortened and self.elapsed < LONG_S:
+            return
+        step = _step(self.shown)
+        places: list[float] = []
+        times: list[float] = []
+        for at, begin, length in zip(self._at, self._elapsed, self._lengths, strict=True):
+            first = np.ceil(begin / step - 1e-9) * step
+            for time in np.arange(first, begin + length + 1e-9 * step, step):
+                place = at + time - begin
+                if not places or place - places[-1] > 0.6 * step:
+                    places.append(place)
+                    times.append(time)
+        if self.elapsed >= LONG_S:
+            texts = [clock_text(time) for time in times]
+        else:
+            decimals = max(0, -int(np.floor(np.log10(step))))
+            texts = [f"{time:,.{decimals}f}" for time in times]
+        ax.xaxis.set_major_locator(FixedLocator(places))
+        ax.xaxis.set_major_formatter(FixedFormatter(texts))
+
+
+def _step(span: float) -> float:
+    """Return the time between ticks, such that there are 5 to 12."""
+    for step in _LONG_STEPS:
+        if span >= LONG_S and span / step <= 12:
+            return float(step)
+    if span >= LONG_S:
+        return 86400.0 * np.ceil(span / 86400 / 12)
+    power = 10 ** np.floor(np.log10(span / 5))
+    return float(next(power * times for times in (1, 2, 5, 10) if span / (power * times) <= 10))
