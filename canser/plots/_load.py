@@ -118,7 +118,7 @@ def draw_load(
     ax.set_ylabel(f"bus load, {'kbit/s' if bitrate is None else '%'}")
     if not load.chains:
         ax.set_yticks([])
-        say(ax, "no frames", style)
+        say(ax, "no frame has a time", style)
         return
     rows = load.rows
     values = rows["kbit_s"] if bitrate is None else 100 * rows["load"]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FIGURES_IN", "describe", "draw_periods", "periods"]
+__all__ = ["FIGURES_IN", "describe", "draw_periods", "periods", "set_interval_ticks"]
 
 # An id was silent if its longest interval is longer than this number of periods: see
 # `canser.dropouts`.
@@ -117,11 +117,11 @@ def draw_periods(ax: "Axes", table: IdTable, style: Style, *, labels: bool = Tru
         zorder=4,
     )
     ax.set_xlim(0.7 * ms["least"].min(), 1.4 * ms["most"].max())
-    _set_ticks(ax)
+    set_interval_ticks(ax)
     _write_figures(ax, table, style)
 
 
-def _set_ticks(ax: "Axes") -> None:
+def set_interval_ticks(ax: "Axes") -> None:
     """Set ticks at 1, 2 and 5 of each power of ten; at the powers only if these are many."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator  # noqa: PLC0415
 

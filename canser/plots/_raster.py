@@ -84,12 +84,13 @@ def raster(
 
 def describe(table: IdTable, time: Timeline) -> tuple[str, str]:
     """Return the finding, and how it was found."""
-    if not time.running and not time.count:
-        return "There is no frame with a time", time.note()
+    if not time.count:
+        return "There are no frames", time.note()
     frames, ids = count_text(time.count, "frame"), count_text(len(table.stats), "id")
     folds = (f"{text} in one row" for text, _ in table.folds)
     note = joined("ids by pattern, period and number", *folds, time.note())
-    return f"{frames} of {ids} in {duration_text(1e9 * time.elapsed)}", note
+    span = "" if time.is_numbered else f" in {duration_text(1e9 * time.elapsed)}"
+    return f"{frames} of {ids}{span}", note
 
 
 def line_height(lines: int) -> float:
@@ -117,7 +118,7 @@ def draw_raster(ax: "Axes", time: Timeline, table: IdTable, style: Style) -> Non
         norm=scale,
         zorder=2,
     )
-    width = duration_text(1e9 * time.shown / columns)
+    width = time.length_text(time.shown / columns)
     colour_bar(ax, image, f"frames in {width}", style, ticks=plain)
 
 

@@ -28,6 +28,7 @@ __all__ = [
     "figure_of",
     "new_axes",
     "new_figure",
+    "new_pages",
     "page_width",
     "put_title",
     "say",
@@ -47,6 +48,7 @@ class Style:
     faint: str
     grid: str
     still: str
+    quiet: str
     ink: str
     pale: str
     wrong: str
@@ -58,7 +60,8 @@ LIGHT: Final = Style(
     text="#1A1A1A",
     faint="#5F5F5F",
     grid="#E4E4E4",
-    still="#DADADA",
+    still="#D2D2D2",
+    quiet="#F4F4F4",
     ink="#0072B2",
     pale="#A9CFE6",
     wrong="#D55E00",
@@ -69,11 +72,12 @@ DARK: Final = Style(
     text="#EDEDED",
     faint="#A6A6A6",
     grid="#2E3338",
-    still="#3B4147",
+    still="#474E55",
+    quiet="#202529",
     ink="#56B4E9",
     pale="#275A78",
     wrong="#E69F00",
-    counts=("viridis", 0.25, 1.0),
+    counts=("viridis", 0.35, 1.0),
 )
 
 # Points. A page of 12 inches that is printed on 11 has letters of 7 points at least.
@@ -153,6 +157,47 @@ def new_axes(
     return made
 
 
+def new_pages(
+    width: int, pages: list[Page], texts: list[tuple[str, str]], note: str, style: Style
+) -> list["Axes"]:
+    """Return axes one below the other, and a note above all of them.
+
+    Below the first ones there is no room for the name of an axis, unless the next one has another
+    width.
+    """
+    across = page_width(width)
+    inches = [across - page.left - page.right for page in pages]
+    wrapped_texts = [_wrap(*text, each) for text, each in zip(texts, inches, strict=True)]
+    note = _wrap("", note, inches[0])[1]
+    below = [
+        page.bottom if page is pages[-1] or page.right != after.right else 0.0
+        for page, after in zip(pages, [*pages[1:], pages[-1]], strict=True)
+    ]
+    heads = [_title_height(*text) for text in wrapped_texts]
+    top = (_height(note, NOTE_PT) + 8) / 72
+    height = top + sum(heads) + sum(below) + sum(page.height for page in pages)
+    figure = new_figure(width, height, style)
+    axes, down = [], height - top
+    for page, each, head, under, text in zip(
+        pages, inches, heads, below, wrapped_texts, strict=True
+    ):
+        down -= head + page.height
+        box = page.left / across, down / height, each / across, page.height / height
+        axes.append(figure.add_axes(box))
+        _write_title(axes[-1], *text, style)
+        down -= under
+    figure.text(
+        pages[0].left / across,
+        1 - 6 / 72 / height,
+        note,
+        va="top",
+        fontsize=NOTE_PT,
+        color=style.faint,
+        linespacing=1.1,
+    )
+    return axes
+
+
 def figure_of(ax: "Axes") -> "Figure":
     """Return the whole figure that an axes is in."""
     figure = ax.get_figure(root=True)
@@ -160,9 +205,9 @@ def figure_of(ax: "Axes") -> "Figure":
     return figure
 
 
-def put_title(ax: "Axes", title: str, note: str, style: Style) -> None:
-    """Put the title and the note above an axes."""
-    inches = ax.get_window_extent().width / figure_of(ax).dpi
+def put_title(ax: "Axes", title: str, note: str, style: Style, *, more: float = 0) -> None:
+    """Put the title and the note above an axes; `more`: inches at its right that are free."""
+    inches = more + ax.get_window_extent().width / figure_of(ax).dpi
     _write_title(ax, *_wrap(title, note, inches), style)
 
 
@@ -248,12 +293,17 @@ def count_colours(style: Style, low: float, high: float) -> tuple[Any, Any]:
     return colours, LogNorm(low, max(high, low * 1.0001))
 
 
-def colour_bar(ax: "Axes", image: Any, label: str, style: Style, *, ticks: Any) -> None:
-    """Draw the scale of the colours at the right of an axes; `ticks`: makes a text of a value."""
+def colour_bar(
+    ax: "Axes", image: Any, label: str, style: Style, *, ticks: Any, away: float = 0
+) -> None:
+    """Draw the scale of the colours at the right of an axes.
+
+    `ticks`: makes a text of a value. `away`: inches between the axes and the scale.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator  # noqa: PLC0415
 
     inches = ax.get_window_extent().width / figure_of(ax).dpi
-    beside = ax.inset_axes((1 + 0.1 / inches, 0, 0.14 / inches, 1))
+    beside = ax.inset_axes((1 + (0.1 + away) / inches, 0, 0.14 / inches, 1))
     bar = ax.figure.colorbar(image, cax=beside)
     bar.set_label(label, color=style.text, fontsize=NOTE_PT)
     beside.tick_params(colors=style.text, labelsize=NOTE_PT)

@@ -98,10 +98,10 @@ class IdTable:
         folded = [int(values[part].sum()) for _, part in self.folds]
         return np.concatenate([values[: self.shown], np.array(folded, np.int64)])
 
-    def find(self, name: str) -> int:
-        """Return the place of an id in `stats` by its text; KeyError if it has none."""
-        texts = [id_text(row) for row in self.stats]
-        return texts.index(name)
+    @property
+    def names(self) -> list[str]:
+        """The ids that have a line of their own, as text."""
+        return [id_text(row) for row in self.stats[: self.shown]]
 
 
 def sort_key(stats: IdStatsArray) -> npt.NDArray[np.intp]:

@@ -7,7 +7,7 @@ import numpy as np
 
 __all__ = ["count_text", "duration_text", "joined", "percent", "plain", "wrapped"]
 
-# Seconds. From here on a length of time is written as h:mm:ss.
+# Seconds. From here on the times at an axis are written as h:mm:ss.
 LONG_S: Final = 7_200
 
 _UNITS: Final = ((1e9, "s"), (1e6, "ms"), (1e3, "µs"), (1, "ns"))
@@ -33,21 +33,21 @@ def _rounded(value: float, digits: int) -> float:
 
 
 def duration_text(ns: float, *, even: bool = False) -> str:
-    """Return a length of time in ns to ms, in s up to two hours, and from there on as h:mm:ss."""
+    """Return a length of time in ns to ms, in s up to ten minutes, then as h:mm:ss."""
     if not np.isfinite(ns):
         return "-"
-    if ns >= LONG_S * 1e9:
-        return clock_text(ns / 1e9)
+    if ns >= 600e9:
+        return f"{clock_text(ns / 1e9)} h"
     if not ns:
         return "0 ms"
-    digits = 4 if ns >= 1e11 else 3
+    digits = 4 if ns >= 100e9 else 3
     size, unit = next(each for each in _UNITS if _rounded(ns, digits) >= each[0] or each[0] == 1)
     return f"{plain(ns / size, digits, even=even)} {unit}"
 
 
 def clock_text(seconds: float) -> str:
     """Return seconds as h:mm:ss."""
-    whole = round(seconds)
+    whole = round(abs(seconds))
     return f"{whole // 3600:,}:{whole // 60 % 60:02}:{whole % 60:02}"
 
 

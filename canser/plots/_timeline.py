@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from canser._core.ids import runs_of
 from canser._frames import YEAR_2000_NS, FrameArray
-from canser.plots._style import NOTE_PT, Style
+from canser.analysis.ids import contiguous
+from canser.plots._style import NOTE_PT, Style, figure_of
 from canser.plots._text import LONG_S, clock_text, count_text, duration_text
 
 if TYPE_CHECKING:
@@ -64,12 +65,18 @@ class Timeline:
         Frames that have a time.
     untimed : int
         Frames that are left out, as their times are not known or false.
+    is_numbered : bool
+        Whether no frame has a time. Then the axis shows the numbers of the frames.
     """
 
     def __init__(self, frames: FrameArray) -> None:
+        frames, _ = contiguous(frames, None)
         run_of = runs_of(frames)
-        self._known = None if run_of.all() else np.flatnonzero(run_of)
         self._ts: _Ints = np.ascontiguousarray(frames["ts"])
+        self.is_numbered = len(frames) > 0 and not run_of.any()
+        if self.is_numbered:
+            run_of, self._ts = np.ones(len(frames), np.uint32), np.arange(len(frames)) * 10**9
+        self._known = None if run_of.all() else np.flatnonzero(run_of)
         if self._known is not None:
             self._ts, run_of = self._ts[self._known], run_of[self._known]
         self._every, self.count = len(frames), len(self._ts)
@@ -96,7 +103,7 @@ class Timeline:
         hole_count = int((pauses > 0).sum())
         most = min(_HOLE_MOST, _HOLES_MOST / max(hole_count, 1)) * (self.running or 1.0)
         drawn = np.minimum(pauses, most)
-        self._begin = begin
+        self._begin, self._back, self._pauses = begin, back, pauses
         self._chain = np.concatenate([[0], np.cumsum(back)])
         self._at = np.concatenate([[0], np.cumsum(lengths[:-1] + drawn)])
         self._elapsed = np.concatenate([[0], np.cumsum(lengths[:-1] + pauses)])
@@ -128,6 +135,21 @@ class Timeline:
         begin, at = self._of_frames(self._begin), self._of_frames(self._at)
         return (self._ts - begin) / 1e9 + at
 
+    def running_places(self) -> _Floats:
+        """Return the seconds from the first frame, without holes, of all frames with a time."""
+        before = np.concatenate([[0], np.cumsum(self._lengths[:-1])])
+        return (self._ts - self._of_frames(self._begin)) / 1e9 + self._of_frames(before)
+
+    def jumps(self) -> list[tuple[int, str]]:
+        """Return the first frames behind holes and restarts, with what was before each."""
+        found = []
+        for run in np.flatnonzero((self._pauses > 0) | self._back):
+            at = int(self._firsts[run + 1])
+            length = duration_text(1e9 * float(self._pauses[run]))
+            text = "the clock steps back" if self._back[run] else f"no frame for {length}"
+            found.append((at if self._known is None else int(self._known[at]), text))
+        return found
+
     def place(self, chain: int, ns: _Ints) -> _Floats:
         """Return the seconds on the axis of rising times; `chain`: how often the clock restarted.
 
@@ -138,6 +160,27 @@ class Timeline:
         since = (ns - self._begin[run]) / 1e9
         limit = np.append(self._at[1:], np.inf)[run] - self._at[run]
         return np.minimum(since, limit) + self._at[run]
+
+    def chains(self) -> list[npt.NDArray[np.intp]]:
+        """Return which frames lie between two restarts of the clock, those with a time."""
+        if not self.count:
+            return []
+        known = np.arange(self._every) if self._known is None else self._known
+        return np.split(known, self._firsts[np.flatnonzero(np.diff(self._chain)) + 1])
+
+    def is_timed(self) -> npt.NDArray[np.bool_]:
+        """Return which frames have a place on the axis, shape (n,)."""
+        if self._known is None:
+            return np.ones(self._every, np.bool_)
+        marks = np.zeros(self._every, np.bool_)
+        marks[self._known] = True
+        return marks
+
+    def length_text(self, length: float) -> str:
+        """Return a length of the axis with its unit."""
+        if self.is_numbered:
+            return count_text(max(round(length), 1), "frame")
+        return duration_text(1e9 * length)
 
     def columns(self, count: int) -> npt.NDArray[np.int32]:
         """Return the column of each frame, of `count` columns over the axis; -1 without a time."""
@@ -160,7 +203,7 @@ class Timeline:
 
     def note(self) -> str:
         """Return what is to be known of the axis, "" if there is nothing."""
-        parts = []
+        parts = ["no frame has a time: frames by their number"] if self.is_numbered else []
         if self.holes:
             total = sum(hole.length for hole in self.holes)
             holes = count_text(len(self.holes), "hole")
@@ -191,7 +234,9 @@ class Timeline:
         for place in self.restarts[:_DRAWN_MOST]:
             ax.axvline(place, color=style.wrong, linestyle="--", linewidth=1, zorder=4)
         self._set_ticks(ax)
-        if label:
+        if label and self.is_numbered:
+            ax.set_xlabel("number of the frame")
+        elif label:
             unit = "h:mm:ss" if self.elapsed >= LONG_S else "s"
             ax.set_xlabel(f"time since {self._start()}, {unit}")
 
@@ -202,10 +247,12 @@ class Timeline:
         return str(np.datetime64(first // 10**9, "s")).replace("T", " ") + " UTC"
 
     def _name(self, ax: "Axes", hole: Hole, style: Style) -> None:
+        length = duration_text(1e9 * hole.length)
+        inches = ax.get_window_extent().height / figure_of(ax).dpi
         ax.text(
             (hole.begin + hole.end) / 2,
             0.5,
-            f"no frame for {duration_text(1e9 * hole.length)}",
+            f"no frame for {length}" if inches > 1.6 else length,
             transform=ax.get_xaxis_transform(),
             rotation=90,
             ha="center",
@@ -219,9 +266,10 @@ class Timeline:
 
     def _set_ticks(self, ax: "Axes") -> None:
         """Write elapsed time under the axis, that of holes included."""
-        from matplotlib.ticker import FixedFormatter, FixedLocator  # noqa: PLC0415
+        from matplotlib.ticker import FixedFormatter, FixedLocator, StrMethodFormatter  # noqa: PLC0415
 
-        if not self.is_shortened and self.elapsed < LONG_S:
+        if self.is_numbered or (not self.is_shortened and self.elapsed < LONG_S):
+            ax.xaxis.set_major_formatter(StrMethodFormatter("{x:,g}"))
             return
         step = _step(self.shown)
         places: list[float] = []
@@ -237,7 +285,7 @@ class Timeline:
             texts = [clock_text(time) for time in times]
         else:
             decimals = max(0, -int(np.floor(np.log10(step))))
-            texts = [f"{time:,.{decimals}f}" for time in times]
+            texts = [f"{abs(time):,.{decimals}f}" for time in times]
         ax.xaxis.set_major_locator(FixedLocator(places))
         ax.xaxis.set_major_formatter(FixedFormatter(texts))
 
