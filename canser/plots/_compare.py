@@ -192,11 +192,10 @@ def _choose(lines: list[_Line]) -> list[_Line]:
 def _title(found: Comparison, names: tuple[str, str]) -> str:
     of_a, of_b = len(found.only_a), len(found.only_b)
     both, bits, retimed = len(found.ids) - of_a - of_b, len(found.bits), len(found.retimed)
-    moves, differ = ("moves", "differs") if bits == 1 else ("move", "differ")
     return (
         f"{count_text(both, 'id')} in both, {of_a:,} in {names[0]} only, {of_b:,} in {names[1]} "
-        f"only; {count_text(bits, 'bit')} {moves} in one only; {count_text(retimed, 'period')} "
-        f"{'differs' if retimed == 1 else 'differ'}"
+        f"only; {count_text(bits, 'bit moves', 'bits move')} in one only; "
+        f"{count_text(retimed, 'period differs', 'periods differ')}"
     )
 
 
@@ -204,23 +203,10 @@ def _draw_periods(ax: "Axes", lines: list[_Line], names: tuple[str, str], style:
     periods = np.array([(line.period_a, line.period_b) for line in lines]) / 1e6
     places = np.arange(len(lines))
     options: dict[str, Any] = {"linestyle": "", "zorder": 3}
-    for number, line in enumerate(lines):
-        if line.in_a and line.in_b:
-            continue
-        only = names[0] if line.in_a else names[1]
-        ax.text(
-            0.02,
-            number,
-            f"x only in {only}: {count_text(int(line.row['count']), 'frame')}",
-            transform=ax.get_yaxis_transform(),
-            va="center",
-            fontsize=ROW_PT,
-            fontweight="bold",
-            color=style.wrong,
-        )
     ax.set_xlabel("period")
     if np.isnan(periods).all():
         ax.set_xticks([])
+        _name_lone(ax, lines, names, style)
         return
     ax.set_xscale("log")
     ax.grid(axis="x", color=style.grid, linewidth=0.8)
@@ -229,6 +215,7 @@ def _draw_periods(ax: "Axes", lines: list[_Line], names: tuple[str, str], style:
     ax.hlines(places, *periods.T, color=style.faint, linewidth=1.5)
     ax.plot(periods[:, 0], places, marker="o", ms=7, color=style.ink, **options)
     ax.plot(periods[:, 1], places, marker="D", ms=3.5, color=style.text, **options)
+    _name_lone(ax, lines, names, style)
     wrong = [number for number, line in enumerate(lines) if line.retimed]
     ax.plot(
         np.full(len(wrong), 0.985),
@@ -240,6 +227,30 @@ def _draw_periods(ax: "Axes", lines: list[_Line], names: tuple[str, str], style:
         color=style.wrong,
         **options,
     )
+
+
+def _name_lone(ax: "Axes", lines: list[_Line], names: tuple[str, str], style: Style) -> None:
+    """Write beside its period that an id is in one capture only."""
+    least, most = ax.get_xlim()
+    for number, line in enumerate(lines):
+        if line.in_a and line.in_b:
+            continue
+        only = names[0] if line.in_a else names[1]
+        period = np.fmax(line.period_a, line.period_b) / 1e6
+        is_left = not period > np.sqrt(least * most)
+        ax.annotate(
+            f"x only in {only}: {count_text(int(line.row['count']), 'frame')}",
+            (0.01 if np.isnan(period) else period, number),
+            (9 if is_left else -9, 0),
+            xycoords=(ax.transAxes if np.isnan(period) else "data", "data"),
+            textcoords="offset points",
+            ha="left" if is_left else "right",
+            va="center",
+            fontsize=ROW_PT,
+            fontweight="bold",
+            color=style.wrong,
+            bbox={"facecolor": style.ground, "edgecolor": "none", "pad": 0.5},
+        )
 
 
 def _draw_bits(ax: "Axes", lines: list[_Line], names: tuple[str, str], style: Style) -> None:

@@ -87,8 +87,9 @@ def bus_load(
     """
     check_frames(frames, "frames")
     style, time = style_of(dark), Timeline(frames)
-    load = LoadOfTime(frames, bitrate, window, time)
-    ax = new_axes(ax, width, Page(2.4), load.texts, style)
+    load = LoadOfTime(frames, bitrate, window)
+    texts = load.title, joined(load.note, time.note())
+    ax = new_axes(ax, width, Page(2.4), texts, style)
     draw_load(ax, load, time, style)
     return figure_of(ax)
 
@@ -97,15 +98,15 @@ class LoadOfTime:
     """The windows of the load, and what is said of them."""
 
     def __init__(
-        self, frames: FrameArray, bitrate: int | None, window: str | int | None, time: Timeline
+        self, frames: FrameArray, bitrate: int | None, window: str | int | None
     ) -> None:
         self.bitrate = bitrate
         self.chains = load_of(frames, bitrate, window).chains()
-        title, notes = "Bus load: there is no frame with a time", ()
+        self.title, notes = "Bus load: there is no frame with a time", []
         if self.chains:
             self.rows = np.concatenate(self.chains)
-            title, *notes = _describe(self.rows, bitrate)
-        self.texts = title, joined(*notes, time.note())
+            self.title, *notes = _describe(self.rows, bitrate)
+        self.note = joined(*notes)
 
 
 def draw_load(
@@ -115,6 +116,7 @@ def draw_load(
     bitrate = load.bitrate
     dress(ax, style, grid="y")
     time.draw(ax, style, label=label)
+    ax.tick_params(axis="x", labelbottom=label)
     ax.set_ylabel(f"bus load, {'kbit/s' if bitrate is None else '%'}")
     if not load.chains:
         ax.set_yticks([])

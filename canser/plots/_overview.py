@@ -80,14 +80,14 @@ def overview(
     """
     check_frames(frames, "frames")
     style, time, table = style_of(dark), Timeline(frames), IdTable(frames)
-    load = LoadOfTime(frames, bitrate, window, time)
+    load = LoadOfTime(frames, bitrate, window)
     height, left = line_height(len(table)), max(table.label_width, _LEFT_IN)
-    texts = [load.texts, describe_raster(table, time), describe_periods(table)]
+    texts = [(load.title, load.note), describe_raster(table, time), describe_periods(table)]
     across = page_width(width)
     is_wide = across >= _WIDE_IN
     beside = (across - left - _BAR_IN - FIGURES_IN) * _PERIODS_SHARE
     right = _BAR_IN + (beside + FIGURES_IN if is_wide else 0)
-    pages = [Page(_LOAD_IN, left, right), Page(height, left, right)]
+    pages = [Page(_LOAD_IN, left, right, free=right - _LEFT_IN / 2), Page(height, left, right)]
     if not is_wide:
         pages.append(Page(height, left, FIGURES_IN))
     axes = new_pages(width, pages, texts[: len(pages)], "", style)

@@ -115,7 +115,7 @@ def payload(
     note = joined(
         "grey: never moves; byte and bit at the left, the highest bit on top", time.note()
     )
-    page = Page(_ROW_IN * max(8 * byte_count, 8), 0.75, right=0.95 + _SUM_IN)
+    page = Page(_ROW_IN * max(8 * byte_count, 8), 0.75, right=0.95 + _SUM_IN, free=1.5)
     ax = new_axes(ax, width, page, (title, note), style)
     dress(ax, style)
     time.draw(ax, style)

@@ -76,7 +76,7 @@ def raster(
     """
     check_frames(frames, "frames")
     style, time, table = style_of(dark), Timeline(frames), IdTable(frames)
-    page = Page(line_height(len(table)), table.label_width, right=0.95)
+    page = Page(line_height(len(table)), table.label_width, right=0.95, free=0.7)
     ax = new_axes(ax, width, page, describe(table, time), style)
     draw_raster(ax, time, table, style)
     return figure_of(ax)

@@ -184,7 +184,7 @@ def draw_stream(parts: Parts, ax: "tuple[Axes, Axes] | None", width: int, style:
 def _draw_skipped(ax: "Axes", parts: Parts, size: float, style: Style) -> None:
     lengths = np.maximum(np.diff(parts.ends), 1)
     shares = 100 * np.minimum(parts.skipped / lengths, 1)
-    ax.stairs(shares, parts.ends / size, fill=True, color=style.wrong, hatch="....", linewidth=0.8)
+    ax.stairs(shares, parts.ends / size, fill=True, color=style.wrong, linewidth=0.6)
     ax.set_ylim(0, 1.15 * max(float(shares.max()), 0.5))
     lost = np.flatnonzero(parts.gaps)
     ax.plot(

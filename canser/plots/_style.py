@@ -108,6 +108,8 @@ class Page(NamedTuple):
     left: float = 0.75
     right: float = 0.25
     bottom: float = 0.6
+    #: Inches at the right of the axes where its texts may go on.
+    free: float = 0.0
 
 
 def new_figure(width: int, height: float, style: Style) -> "Figure":
@@ -141,7 +143,7 @@ def new_axes(
         put_title(ax, *texts, style)
         return ax
     across = page_width(width) - page.left - page.right
-    title, note = _wrap(*texts, across + page.right)
+    title, note = _wrap(*texts, across + page.free)
     height = page.height + page.bottom + _title_height(title, note)
     figure = new_figure(width, height, style)
     whole_width = page_width(width)
@@ -167,7 +169,10 @@ def new_pages(
     """
     across = page_width(width)
     inches = [across - page.left - page.right for page in pages]
-    wrapped_texts = [_wrap(*text, each) for text, each in zip(texts, inches, strict=True)]
+    wrapped_texts = [
+        _wrap(*text, each + page.free)
+        for text, each, page in zip(texts, inches, pages, strict=True)
+    ]
     note = _wrap("", note, inches[0])[1]
     below = [
         page.bottom if page is pages[-1] or page.right != after.right else 0.0

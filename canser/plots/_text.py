@@ -1,5 +1,6 @@
 """Numbers as texts of a picture: short, with their units, and without exponents."""
 
+import re
 import textwrap
 from typing import Final
 
@@ -9,6 +10,9 @@ __all__ = ["count_text", "duration_text", "joined", "percent", "plain", "wrapped
 
 # Seconds. From here on the times at an axis are written as h:mm:ss.
 LONG_S: Final = 7_200
+
+# A number and its unit, which stay together.
+_UNIT: Final = re.compile(r"(\d) (%|kbit|[mµn]?s\b|h\b)")
 
 _UNITS: Final = ((1e9, "s"), (1e6, "ms"), (1e3, "µs"), (1, "ns"))
 
@@ -63,7 +67,8 @@ def count_text(count: int, one: str, many: str = "") -> str:
 
 def wrapped(text: str, columns: int) -> str:
     """Return a text in lines of at most some columns."""
-    return textwrap.fill(text, max(columns, 20))
+    kept = _UNIT.sub("\\1\u00a0\\2", text)
+    return textwrap.fill(kept, max(columns, 20)).replace("\u00a0", " ")
 
 
 def joined(*parts: str) -> str:
