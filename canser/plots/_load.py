@@ -97,9 +97,7 @@ def bus_load(
 class LoadOfTime:
     """The windows of the load, and what is said of them."""
 
-    def __init__(
-        self, frames: FrameArray, bitrate: int | None, window: str | int | None
-    ) -> None:
+    def __init__(self, frames: FrameArray, bitrate: int | None, window: str | int | None) -> None:
         self.bitrate = bitrate
         self.chains = load_of(frames, bitrate, window).chains()
         self.title, notes = "Bus load: there is no frame with a time", []

@@ -82,8 +82,8 @@ def signals(
     TypeError
         `signals` is no mapping.
     ValueError
-        There are over 40 signals, or not as many axes as signals, or `width` is not 400 to 20,000.
-        Or the clock restarts, and not all of these signals have samples in each part.
+        There are over 40 signals, not as many axes as signals, or samples without times; or
+        `width` is not 400 to 20,000. Or the clock restarts, and not all of these signals have samples in each part.
     ModuleNotFoundError
         matplotlib is not installed.
 
@@ -151,7 +151,7 @@ class _Part(NamedTuple):
     """The samples of a signal between two restarts of the clock."""
 
     #: Which samples, in the order of their times.
-    index: npt.NDArray[np.intp]
+    places: npt.NDArray[np.intp]
     #: Their times.
     ns: _Ints
     #: The most nanoseconds that a line may join.
@@ -189,7 +189,10 @@ def _parts(ts: npt.NDArray[np.datetime64]) -> list[_Part]:
     stats = IdStats()
     stats.add(frames)
     parts = []
-    for index in Timeline(frames).chains():
+    time = Timeline(frames)
+    if time.is_numbered:
+        raise ValueError("the frames have no times, so there is no axis for signals over time")
+    for index in time.chains():
         row = stats.rows()[0]
         period = (
             row["period_ns"] if row["period_ns"] == row["period_ns"] else row["interval_p99_ns"]
@@ -206,7 +209,7 @@ def _placed(signal: Signal, parts: list[_Part], time: Timeline) -> Samples:
     at, found, starts, count = [np.zeros(0)], [values[:0]], [np.zeros(0, np.intp)], 0
     for chain, part in enumerate(parts):
         at.append(time.place(chain, part.ns))
-        found.append(values[part.index])
+        found.append(values[part.places])
         starts.append(count + np.flatnonzero(np.append(True, np.diff(part.ns) > part.most)))
         count += len(part.ns)
     return Samples(np.concatenate(at), np.concatenate(found), np.concatenate(starts))

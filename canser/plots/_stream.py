@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Parts", "block_frames", "stream"]
+__all__ = ["Parts", "part_frames", "stream"]
 
 # Parts of the stream that are told apart, about.
 _PARTS: Final = 1_000
@@ -43,7 +43,7 @@ _UNITS: Final = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1, "bytes"))
 
 
 def stream(
-    source: Sources,
+    source: Sources | Blocks,
     protocol: str | None = None,
     *,
     ax: "tuple[Axes, Axes] | None" = None,
@@ -54,8 +54,9 @@ def stream(
 
     Parameters
     ----------
-    source : str, path-like, binary file, or list of these
-        Raw bytes or recordings, as for `canser.blocks`.
+    source : str, path-like, binary file, list of these, or Blocks
+        Raw bytes or recordings, as for `canser.blocks`; or what that returns, whose blocks are the
+        parts of the picture.
     protocol : str, optional
         Protocol of raw bytes, as for `canser.blocks`.
     ax : pair of matplotlib.axes.Axes, optional
@@ -97,14 +98,16 @@ def stream(
     '13 of 1,205 bytes are skipped (1.1 %)'
     """
     style = style_of(dark)
+    if isinstance(source, Blocks):
+        return draw_stream(Parts(source), ax, width, style)
     with blocks(source, protocol, out=np.empty(1, FRAME_DTYPE)) as whole:
-        room = block_frames(whole.bytes_total)
+        room = part_frames(whole.bytes_total)
     out = np.empty(room, FRAME_DTYPE)
     with blocks(source, protocol, out=out) as file:
         return draw_stream(Parts(file), ax, width, style)
 
 
-def block_frames(size: int | None) -> int:
+def part_frames(size: int | None) -> int:
     """Return how many frames a part has, for a stream of a size in bytes."""
     return 1 << 12 if size is None else max(size // _FRAME_LEN // _PARTS, 4)
 

@@ -21,6 +21,7 @@ __all__ = [
     "LIGHT",
     "Page",
     "Style",
+    "check_matplotlib",
     "colour_bar",
     "column_count",
     "count_colours",
@@ -114,15 +115,22 @@ class Page(NamedTuple):
 
 def new_figure(width: int, height: float, style: Style) -> "Figure":
     """Return an empty figure of a width in pixels and a height in inches. pyplot knows nothing."""
+    check_matplotlib()
+    from matplotlib.figure import Figure  # noqa: PLC0415 - an optional extra
+
+    inches = page_width(width)
+    return Figure(figsize=(inches, height), dpi=width / inches, facecolor=style.ground)
+
+
+def check_matplotlib() -> None:
+    """Raise ModuleNotFoundError with the remedy if matplotlib is not installed."""
     try:
-        from matplotlib.figure import Figure  # noqa: PLC0415 - an optional extra
+        import matplotlib  # noqa: F401, ICN001, PLC0415 - an optional extra
     except ModuleNotFoundError:
         raise ModuleNotFoundError(
             "pictures need matplotlib, which is not installed: pip install 'canser[plot]'",
             name="matplotlib",
         ) from None
-    inches = page_width(width)
-    return Figure(figsize=(inches, height), dpi=width / inches, facecolor=style.ground)
 
 
 def page_width(width: int) -> float:
@@ -262,7 +270,7 @@ def dress(ax: "Axes", style: Style, *, grid: str = "") -> None:
     ax.tick_params(colors=style.text, labelsize=LABEL_PT, which="both")
     for axis in (ax.xaxis, ax.yaxis):
         axis.label.set_color(style.text)
-        axis.label.set_size(LABEL_PT)
+        axis.label.set_fontsize(LABEL_PT)
     ax.set_axisbelow(True)
     if grid:
         ax.grid(axis=grid, color=style.grid, linewidth=0.8)  # type: ignore[arg-type]
@@ -312,7 +320,7 @@ def colour_bar(
     bar = ax.figure.colorbar(image, cax=beside)
     bar.set_label(label, color=style.text, fontsize=NOTE_PT)
     beside.tick_params(colors=style.text, labelsize=NOTE_PT)
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.outline.set_visible(False)
     few = image.norm.vmax / image.norm.vmin < 100
     beside.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,)))
     beside.yaxis.set_minor_locator(NullLocator())

@@ -6,7 +6,7 @@ hole is drawn short, and has its length as text: otherwise an hour in which the 
 would leave no room for the frames.
 """
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,9 @@ from canser.plots._text import LONG_S, clock_text, count_text, duration_text
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Hole", "Timeline"]
+__all__ = ["Hole", "Timeline", "steady_frames"]
+
+_Number = TypeVar("_Number", bound=np.generic)
 
 _Ints = npt.NDArray[np.int64]
 _Floats = npt.NDArray[np.float64]
@@ -103,7 +105,7 @@ class Timeline:
         hole_count = int((pauses > 0).sum())
         most = min(_HOLE_MOST, _HOLES_MOST / max(hole_count, 1)) * (self.running or 1.0)
         drawn = np.minimum(pauses, most)
-        self._begin, self._back, self._pauses = begin, back, pauses
+        self._begin, self._ends, self._back, self._pauses = begin, end, back, pauses
         self._chain = np.concatenate([[0], np.cumsum(back)])
         self._at = np.concatenate([[0], np.cumsum(lengths[:-1] + drawn)])
         self._elapsed = np.concatenate([[0], np.cumsum(lengths[:-1] + pauses)])
@@ -133,12 +135,15 @@ class Timeline:
     def places(self) -> _Floats:
         """Return the seconds on the axis of all frames that have a time, shape (m,)."""
         begin, at = self._of_frames(self._begin), self._of_frames(self._at)
-        return (self._ts - begin) / 1e9 + at
+        found: _Floats = (self._ts - begin) / 1e9 + at
+        return found
 
     def running_places(self) -> _Floats:
         """Return the seconds from the first frame, without holes, of all frames with a time."""
         before = np.concatenate([[0], np.cumsum(self._lengths[:-1])])
-        return (self._ts - self._of_frames(self._begin)) / 1e9 + self._of_frames(before)
+        since = (self._ts - self._of_frames(self._begin)) / 1e9
+        found: _Floats = since + self._of_frames(before)
+        return found
 
     def jumps(self) -> list[tuple[int, str]]:
         """Return the first frames behind holes and restarts, with what was before each."""
@@ -159,7 +164,8 @@ class Timeline:
         run = runs[np.clip(np.searchsorted(self._begin[runs], ns, "right") - 1, 0, None)]
         since = (ns - self._begin[run]) / 1e9
         limit = np.append(self._at[1:], np.inf)[run] - self._at[run]
-        return np.minimum(since, limit) + self._at[run]
+        found: _Floats = np.minimum(since, limit) + self._at[run]
+        return found
 
     def chains(self) -> list[npt.NDArray[np.intp]]:
         """Return which frames lie between two restarts of the clock, those with a time."""
@@ -167,6 +173,11 @@ class Timeline:
             return []
         known = np.arange(self._every) if self._known is None else self._known
         return np.split(known, self._firsts[np.flatnonzero(np.diff(self._chain)) + 1])
+
+    def shifts(self) -> _Ints:
+        """Return what takes the restarts of the clock out of the times of frames, shape (m,)."""
+        steps = np.where(self._back, self._ends[:-1] - self._begin[1:], 0)
+        return self._of_frames(np.append(0, np.cumsum(steps)))
 
     def is_timed(self) -> npt.NDArray[np.bool_]:
         """Return which frames have a place on the axis, shape (n,)."""
@@ -188,14 +199,14 @@ class Timeline:
         begin, at = self._of_frames(self._begin), self._of_frames(self._at)
         found = np.multiply(self._ts - begin, scale / 1e9)
         found += at * scale
-        column = np.minimum(found.astype(np.int32), count - 1)
+        column: npt.NDArray[np.int32] = np.minimum(found.astype(np.int32), count - 1)
         if self._known is None:
             return column
         columns = np.full(self._every, -1, np.int32)
         columns[self._known] = column
         return columns
 
-    def _of_frames(self, values: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    def _of_frames(self, values: npt.NDArray[_Number]) -> npt.NDArray[_Number]:
         """Return the value of each frame's run."""
         if len(values) == 1:
             return values
@@ -290,12 +301,22 @@ class Timeline:
         ax.xaxis.set_major_formatter(FixedFormatter(texts))
 
 
+def steady_frames(frames: FrameArray) -> FrameArray:
+    """Return frames without false times, and with times that go on where the clock restarts."""
+    time = Timeline(frames)
+    if time.is_numbered or not (time.restarts or time.untimed):
+        return frames
+    steady = frames.compress(time.is_timed())
+    steady["ts"] += time.shifts()
+    return steady
+
+
 def _step(span: float) -> float:
     """Return the time between ticks, such that there are 5 to 12."""
     for step in _LONG_STEPS:
         if span >= LONG_S and span / step <= 12:
             return float(step)
     if span >= LONG_S:
-        return 86400.0 * np.ceil(span / 86400 / 12)
+        return 86400 * float(np.ceil(span / 86400 / 12))
     power = 10 ** np.floor(np.log10(span / 5))
     return float(next(power * times for times in (1, 2, 5, 10) if span / (power * times) <= 10))
