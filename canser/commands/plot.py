@@ -2,6 +2,7 @@
 
 import argparse
 import warnings
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -56,6 +57,9 @@ _ONLY: Final = {
 
 # The formats of a picture, which are the suffixes of its file.
 _SUFFIXES: Final = ("png", "svg", "pdf")
+
+# Letters of the name of a file in a picture.
+_NAME_MOST: Final = 24
 
 # The signals that are drawn if none is named.
 _SIGNALS_MOST: Final = 12
@@ -192,7 +196,7 @@ def _draw(args: argparse.Namespace, kind: str, chosen: Selection, look: dict[str
         return _stream(args, look)
     if kind == "compare":
         a, b = ((_read(args, [path], chosen))[0] for path in args.sources)
-        return plots.compare(a, b, names=(args.sources[0], args.sources[1]), **look)
+        return plots.compare(a, b, names=_names(*args.sources), **look)
     frames, bitrate = _read(args, args.sources, chosen)
     if kind in ("overview", "load"):
         draw = plots.overview if kind == "overview" else plots.bus_load
@@ -207,6 +211,13 @@ def _draw(args: argparse.Namespace, kind: str, chosen: Selection, look: dict[str
         return _signals(args, frames, look)
     simple = {"ids": plots.ids, "periods": plots.periods, "raster": plots.raster}
     return simple[kind](frames, **look)
+
+
+def _names(a: str, b: str) -> tuple[str, str]:
+    """Return what two files are called in a picture: their names, if these are short."""
+    names = PurePath(a).name, PurePath(b).name
+    is_short = names[0] != names[1] and max(map(len, names)) <= _NAME_MOST
+    return names if is_short else ("A", "B")
 
 
 def _read(

@@ -34,6 +34,9 @@ __all__ = ["compare"]
 # The share of the page that the bits take.
 _BITS_SHARE: Final = 0.5
 
+# The most ids of less than 10 frames that have a line.
+_FEW_MOST: Final = 10
+
 # What a bit is: never moves, moves in both, in A only, in B only.
 _STILL, _BOTH, _IN_A, _IN_B = range(4)
 
@@ -93,7 +96,8 @@ def compare(
     Notes
     -----
     At the left are the periods, at the right the bits of the payload. Of more than 60 ids those
-    that differ come first, and the title counts all. `canser.compare` gives the same as arrays.
+    that differ come first; more than 10 ids of less than 10 frames have no rows. The title counts
+    all. `canser.compare` gives the same as arrays.
 
     Examples
     --------
@@ -182,9 +186,13 @@ def _bits(a: np.void | None, b: np.void | None) -> npt.NDArray[np.int64]:
 
 
 def _choose(lines: list[_Line]) -> list[_Line]:
-    """Return the ids that have a line: those that differ before the others."""
-    if len(lines) <= LINES_MOST:
-        return lines
+    """Return the ids that have a line: those that differ before the others.
+
+    Ids with few frames have one only if there are few of them: noise makes many.
+    """
+    few = [line for line in lines if line.row["pattern"] == "few"]
+    if len(lines) > len(few) > _FEW_MOST:
+        lines = [line for line in lines if line.row["pattern"] != "few"]
     ranked = sorted(range(len(lines)), key=lambda place: not lines[place].differs)
     return [lines[place] for place in sorted(ranked[:LINES_MOST])]
 

@@ -8,7 +8,7 @@ from canser.plots._periods import FIGURES_IN, draw_periods
 from canser.plots._periods import describe as describe_periods
 from canser.plots._raster import describe as describe_raster
 from canser.plots._raster import draw_raster, line_height
-from canser.plots._style import Page, figure_of, new_pages, page_width, put_title, style_of
+from canser.plots._style import ROW_PT, Page, figure_of, new_pages, page_width, put_title, style_of
 from canser.plots._table import IdTable
 from canser.plots._timeline import Timeline
 
@@ -95,7 +95,7 @@ def overview(
         box = axes[1].get_position()
         place = (box.x1 + _BAR_IN / across, box.y0, beside / across, box.height)
         axes.append(figure_of(axes[0]).add_axes(place))
-        put_title(axes[2], *texts[2], style, more=FIGURES_IN)
+        put_title(axes[2], *texts[2], style, more=FIGURES_IN, lift=ROW_PT + 3)
     draw_load(axes[0], load, time, style, label=False)
     draw_raster(axes[1], time, table, style)
     draw_periods(axes[2], table, style, labels=not is_wide)

@@ -180,7 +180,6 @@ def _draw_bits(ax: "Axes", flips: _Ints, counts: _Ints, time: Timeline, style: S
     moves = np.repeat((flips.sum(axis=1) > 0)[:, None], len(counts), axis=1)
     ground = np.ma.array(moves, mask=np.repeat((counts == 0)[None], rows, axis=0))
     quiet = ListedColormap([style.still, style.quiet])
-    quiet.set_bad(style.ground, 0)
     ax.imshow(ground, cmap=quiet, vmin=0, vmax=1, zorder=1, **options)
     rates = np.ma.masked_equal(flips / np.maximum(counts, 1), 0)
     colours, scale = count_colours(style, float(rates.min() if rates.count() else 1), 1)

@@ -102,6 +102,7 @@ def draw_periods(ax: "Axes", table: IdTable, style: Style, *, labels: bool = Tru
         )
     }
     ax.set_xscale("log")
+    ax.set_xlim(0.7 * ms["least"].min(), 1.4 * ms["most"].max())
     ax.hlines(known, ms["least"], ms["most"], color=style.ink, linewidth=1)
     ax.hlines(known, ms["low"], ms["high"], color=style.ink, linewidth=5)
     ax.plot(ms["median"], known, linestyle="", marker="|", ms=9, mew=2, color=style.text)
@@ -116,7 +117,6 @@ def draw_periods(ax: "Axes", table: IdTable, style: Style, *, labels: bool = Tru
         color=style.wrong,
         zorder=4,
     )
-    ax.set_xlim(0.7 * ms["least"].min(), 1.4 * ms["most"].max())
     set_interval_ticks(ax)
     _write_figures(ax, table, style)
 

@@ -83,7 +83,8 @@ def signals(
         `signals` is no mapping.
     ValueError
         There are over 40 signals, not as many axes as signals, or samples without times; or
-        `width` is not 400 to 20,000. Or the clock restarts, and not all of these signals have samples in each part.
+        `width` is not 400 to 20,000. Or the clock restarts, and not all of these signals have
+        samples in each part.
     ModuleNotFoundError
         matplotlib is not installed.
 
@@ -111,7 +112,7 @@ def signals(
     time, placed = _lay_out(chosen)
     pages = [Page(_BAND_IN if each.choices else _LINE_IN, 0.85) for each in chosen]
     texts = [_describe(each, of.values) for each, of in zip(chosen, placed, strict=True)]
-    note = joined(time.note(), _dense_note(placed))
+    note = joined(time.note(), _count_note(placed))
     if ax is None:
         axes = new_pages(width, pages, [(text, "") for text in texts], note, style)
     else:
@@ -235,9 +236,9 @@ def _describe(signal: Signal, values: npt.NDArray[Any]) -> str:
     return f"{text}; {count_text(changes, 'change')}"
 
 
-def _dense_note(placed: list[Samples]) -> str:
+def _count_note(placed: list[Samples]) -> str:
     total = sum(len(each.at) for each in placed)
-    return f"{count_text(total, 'sample')}; filled: least to most of a pixel"
+    return f"{count_text(total, 'sample')}; where there are more than pixels: least to most of each"
 
 
 def _draw_line(ax: "Axes", signal: Signal, samples: Samples, time: Timeline, style: Style) -> None:

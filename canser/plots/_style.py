@@ -218,10 +218,15 @@ def figure_of(ax: "Axes") -> "Figure":
     return figure
 
 
-def put_title(ax: "Axes", title: str, note: str, style: Style, *, more: float = 0) -> None:
-    """Put the title and the note above an axes; `more`: inches at its right that are free."""
+def put_title(
+    ax: "Axes", title: str, note: str, style: Style, *, more: float = 0, lift: float = 0
+) -> None:
+    """Put the title and the note above an axes.
+
+    `more`: inches at its right that are free. `lift`: points to leave free above the axes.
+    """
     inches = more + ax.get_window_extent().width / figure_of(ax).dpi
-    _write_title(ax, *_wrap(title, note, inches), style)
+    _write_title(ax, *_wrap(title, note, inches), style, lift)
 
 
 def _wrap(title: str, note: str, inches: float) -> tuple[str, str]:
@@ -241,7 +246,7 @@ def _height(text: str, size: float) -> float:
     return 1.25 * size * (text.count("\n") + 1) if text else 0
 
 
-def _write_title(ax: "Axes", title: str, note: str, style: Style) -> None:
+def _write_title(ax: "Axes", title: str, note: str, style: Style, lift: float = 0) -> None:
     options: dict[str, Any] = {
         "xycoords": "axes fraction",
         "textcoords": "offset points",
@@ -255,10 +260,10 @@ def _write_title(ax: "Axes", title: str, note: str, style: Style) -> None:
         fontsize=TITLE_PT,
         fontweight="bold",
         color=style.text,
-        pad=8 + _height(note, NOTE_PT),
+        pad=8 + lift + _height(note, NOTE_PT),
         linespacing=1.1,
     )
-    ax.annotate(note, (0, 1), (0, 6), fontsize=NOTE_PT, color=style.faint, **options)
+    ax.annotate(note, (0, 1), (0, 6 + lift), fontsize=NOTE_PT, color=style.faint, **options)
 
 
 def dress(ax: "Axes", style: Style, *, grid: str = "") -> None:
@@ -302,7 +307,6 @@ def count_colours(style: Style, low: float, high: float) -> tuple[Any, Any]:
 
     name, first, last = style.counts
     colours = ListedColormap(colormaps[name](np.linspace(first, last, 256)))
-    colours.set_bad(style.ground, 0)
     return colours, LogNorm(low, max(high, low * 1.0001))
 
 
