@@ -206,7 +206,10 @@ def _draw(args: argparse.Namespace, kind: str, chosen: Selection, look: dict[str
         except ValueError as error:
             raise CallError(f"--{error}") from None
     if kind == "payload":
-        return plots.payload(frames, args.id, **look)
+        try:
+            return plots.payload(frames, args.id, **look)
+        except ValueError as error:
+            raise CallError(str(error)) from None
     if kind == "signals":
         return _signals(args, frames, look)
     simple = {"ids": plots.ids, "periods": plots.periods, "raster": plots.raster}

@@ -1,6 +1,6 @@
 """The raster: a row for each id, time from left to right, colour for the number of frames."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["draw_raster", "line_height", "raster", "set_lines"]
+
+
+# Frames that are counted together: what is made of them stays in the cache.
+_PART: Final = 1 << 17
 
 
 def raster(
@@ -123,12 +127,17 @@ def draw_raster(ax: "Axes", time: Timeline, table: IdTable, style: Style) -> Non
 
 
 def count_frames(
-    lines: npt.NDArray[np.int64], columns: npt.NDArray[np.int32], height: int, width: int
+    lines: npt.NDArray[np.int32], columns: npt.NDArray[np.int32], height: int, width: int
 ) -> npt.NDArray[np.int64]:
     """Return how many frames lie in each line and column, shape (height, width)."""
     # Frames without a column are counted in one more at the left.
-    cells = lines * (width + 1) + (columns + 1)
-    counts: npt.NDArray[np.int64] = np.bincount(cells, minlength=height * (width + 1))
+    counts = np.zeros(height * (width + 1), np.int64)
+    for first in range(0, len(lines), _PART):
+        part = slice(first, first + _PART)
+        cells = lines[part] * np.int32(width + 1)
+        cells += columns[part]
+        cells += 1
+        counts += np.bincount(cells, minlength=len(counts))
     return counts.reshape(height, width + 1)[:, 1:]
 
 

@@ -6,6 +6,7 @@ many, share the last row. Of more than 60 ids the busiest 60 are shown, and the 
 What a row hides is always counted.
 """
 
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -28,6 +29,9 @@ PATTERNS: Final = ("periodic", "bursts", "event", "few")
 # The most ids that have a row of their own.
 LINES_MOST: Final = 60
 
+# Frames that are counted together: what is made of them stays in the cache.
+_PART: Final = 1 << 17
+
 
 class IdTable:
     """Statistics of the ids of frames, and the lines in which a picture shows them.
@@ -38,8 +42,6 @@ class IdTable:
         The rows of `canser.IdStats`, in the order of pictures.
     low_ns : array of float64, shape (m,)
         The 1st percentile of the intervals, NaN if there is none.
-    bits : array of int64, shape (m,)
-        Bits of the frames on the bus.
     shown : int
         How many of `stats` have a line of their own: the first ones.
     folds : list of (str, slice)
@@ -57,14 +59,29 @@ class IdTable:
             intervals = kept_intervals(rows, int(row))
             if intervals.count:
                 low[place] = intervals.at(0.01)
-        bits = np.bincount(row_of, frame_bits(frames), len(rows))[order].astype(np.int64)
-        best = _choose(stats, bits)
+        self._frames, self._row_of = frames, row_of
+        judged = int((stats["pattern"] != "few").sum())
+        self._place_of = np.empty(len(rows), np.int32)
+        busy = self._row_bits[order] if max(judged, len(stats) - judged) > LINES_MOST else None
+        best = _choose(stats, busy)
         self.stats: IdStatsArray = stats.take(best)
-        self.low_ns, self.bits = low[best], bits[best]
-        self._row_of = row_of
-        self._place_of = np.empty(len(rows), np.int64)
-        self._place_of[order[best]] = np.arange(len(rows))
+        self.low_ns, self._order = low[best], order[best]
+        self._place_of[self._order] = np.arange(len(rows))
         self.shown, self.folds = _fold(self.stats)
+
+    @property
+    def bits(self) -> npt.NDArray[np.int64]:
+        """Bits of the frames on the bus, of each id of `stats`."""
+        return self._row_bits[self._order]
+
+    @cached_property
+    def _row_bits(self) -> npt.NDArray[np.int64]:
+        """The bits of the frames of each row."""
+        bits = np.zeros(len(self._place_of))
+        for first in range(0, len(self._frames), _PART):
+            part = slice(first, first + _PART)
+            bits += np.bincount(self._row_of[part], frame_bits(self._frames[part]), len(bits))
+        return bits.astype(np.int64)
 
     def __len__(self) -> int:
         """Return the number of lines."""
@@ -85,12 +102,12 @@ class IdTable:
         """The inches that the texts need."""
         return 0.16 + ROW_PT / 72 * 0.61 * max(map(len, self.labels), default=8)
 
-    def line_of_frames(self) -> npt.NDArray[np.int64]:
+    def line_of_frames(self) -> npt.NDArray[np.int32]:
         """Return the line of each frame, shape (n,)."""
-        lines = np.arange(len(self.stats))
+        lines = np.arange(len(self.stats), dtype=np.int32)
         for number, (_, part) in enumerate(self.folds):
             lines[part] = self.shown + number
-        found: npt.NDArray[np.int64] = lines[self._place_of][self._row_of]
+        found: npt.NDArray[np.int32] = lines[self._place_of][self._row_of]
         return found
 
     def sums(self, values: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
@@ -113,14 +130,17 @@ def sort_key(stats: IdStatsArray) -> npt.NDArray[np.intp]:
     return np.lexsort([np.arange(len(stats)), period, pattern])
 
 
-def _choose(stats: IdStatsArray, bits: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
-    """Return the order of the ids: those with a line, the other ones, those with few frames."""
+def _choose(stats: IdStatsArray, bits: npt.NDArray[np.int64] | None) -> npt.NDArray[np.intp]:
+    """Return the order of the ids: those with a line, the other ones, those with few frames.
+
+    `bits`: of each id, None if all of them have a line.
+    """
     order = sort_key(stats)
     few = (stats["pattern"] == "few")[order]
     if few.all() or few.sum() < 2:
         few[:] = False
     judged = order[~few]
-    if len(judged) > LINES_MOST:
+    if bits is not None and len(judged) > LINES_MOST:
         busy = np.zeros(len(stats), np.bool_)
         busy[judged[np.argsort(-bits[judged], kind="stable")[:LINES_MOST]]] = True
         judged = np.concatenate([judged[busy[judged]], judged[~busy[judged]]])

@@ -6,7 +6,7 @@ hole is drawn short, and has its length as text: otherwise an hour in which the 
 would leave no room for the frames.
 """
 
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,9 @@ _Floats = npt.NDArray[np.float64]
 # second one.
 _HOLE_MOST: Final = 0.05
 _HOLES_MOST: Final = 0.5
+
+# Frames whose columns are found together.
+_PART: Final = 1 << 17
 
 # Holes that are drawn and named at most, the longest ones; and restarts of the clock.
 _NAMED_MOST: Final = 12
@@ -196,15 +199,30 @@ class Timeline:
     def columns(self, count: int) -> npt.NDArray[np.int32]:
         """Return the column of each frame, of `count` columns over the axis; -1 without a time."""
         scale = count / self.shown
-        begin, at = self._of_frames(self._begin), self._of_frames(self._at)
-        found = np.multiply(self._ts - begin, scale / 1e9)
-        found += at * scale
-        column: npt.NDArray[np.int32] = np.minimum(found.astype(np.int32), count - 1)
+        column = np.empty(len(self._ts), np.int32)
+        # What is made of a part stays in the cache.
+        for first in range(0, len(column), _PART):
+            end = min(first + _PART, len(column))
+            begin, at = self._of_part(first, end)
+            found = np.multiply(self._ts[first:end] - begin, scale / 1e9)
+            found += at * scale
+            np.copyto(column[first:end], found, casting="unsafe")
+        np.minimum(column, count - 1, out=column)
         if self._known is None:
             return column
         columns = np.full(self._every, -1, np.int32)
         columns[self._known] = column
         return columns
+
+    def _of_part(self, first: int, end: int) -> tuple[Any, Any]:
+        """Return where the runs of some frames begin, in time and on the axis."""
+        run, last = np.searchsorted(self._firsts, [first, end - 1], "right") - 1
+        if run == last:
+            return self._begin[run], self._at[run]
+        borders = np.clip(self._firsts[run : last + 2], first, end)
+        lengths = np.diff(np.append(borders, end))[: last - run + 1]
+        runs = np.repeat(np.arange(run, last + 1), lengths)
+        return self._begin[runs], self._at[runs]
 
     def _of_frames(self, values: npt.NDArray[_Number]) -> npt.NDArray[_Number]:
         """Return the value of each frame's run."""
