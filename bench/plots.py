@@ -69,8 +69,8 @@ def main() -> None:
     }
     plots.raster(frames[:1000]).savefig(io.BytesIO())
     print(
-        f"{args.frames:,} frames; medians of {args.rounds} rounds: seconds of a processor, and of the "
-        "clock"
+        f"{args.frames:,} frames; medians of {args.rounds} rounds: seconds of a processor, and of "
+        "the clock"
     )
     for what, draw in pictures.items():
         seconds = []

@@ -334,7 +334,7 @@ def test_missing_frames_have_a_second_sign() -> None:
     frames = periodic(1_000)
     frames = frames.compress(np.arange(1_000) % 100 != 50)
     figure = plots.periods(frames)
-    assert title(figure) == "1 of 1 id are periodic; 10 frames missing"
+    assert title(figure) == "1 of 1 id is periodic; 10 frames missing"
     (wrong,) = [each for each in figure.axes[0].texts if each.get_color() == LIGHT.wrong]
     assert wrong.get_text().split() == ["10", "x"]
 

@@ -123,8 +123,12 @@ def draw_load(
     rows = load.rows
     values = rows["kbit_s"] if bitrate is None else 100 * rows["load"]
     highest = float(values.max())
-    at, starts = _place(load.chains, time)
-    _draw_rows(ax, at, Samples(at.mean(axis=1), values, starts), time, style)
+    at, full, starts = _place(load.chains, time)
+    # A window at a border of a hole was not measured as a whole: its load looks like a dip.
+    drawn = np.flatnonzero(full if full.any() else np.ones(len(at), np.bool_))
+    starts[drawn[1:][np.diff(drawn) > 1]] = True
+    samples = Samples(at[drawn].mean(axis=1), values[drawn], np.flatnonzero(starts[drawn]))
+    _draw_rows(ax, at[drawn], samples, time, style)
     is_near = bitrate is not None and highest > 60
     ax.set_ylim(0, 1.15 * max(highest, 100 if is_near else 0) or 1)
     if is_near:
@@ -145,16 +149,18 @@ def draw_load(
         )
 
 
-def _place(chains: list[_Rows], time: Timeline) -> tuple[_Floats, npt.NDArray[np.intp]]:
-    """Return where windows begin and end, shape (n, 2), and those that follow on no other one."""
-    edges, starts, before = [], [], 0
+def _place(
+    chains: list[_Rows], time: Timeline
+) -> tuple[_Floats, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Return where windows begin and end, which ones are full, and which follow on no other one."""
+    edges, full, starts = [], [], []
     for chain, rows in enumerate(chains):
         begin = rows["start_ns"]
-        ends = begin + rows["window_ns"]
-        edges.append(np.stack([time.place(chain, begin), time.place(chain, ends)], axis=1))
-        starts.append(before + np.flatnonzero(np.append(True, begin[1:] != ends[:-1])))
-        before += len(rows)
-    return np.minimum(np.concatenate(edges), time.shown), np.concatenate(starts)
+        end = begin + rows["window_ns"]
+        edges.append(np.stack([time.place(chain, begin), time.place(chain, end)], axis=1))
+        full.append(time.covers(chain, begin, end))
+        starts.append(np.append(True, begin[1:] != end[:-1]))
+    return np.concatenate(edges), np.concatenate(full), np.concatenate(starts)
 
 
 def _draw_rows(ax: "Axes", at: _Floats, samples: Samples, time: Timeline, style: Style) -> None:
@@ -199,7 +205,7 @@ def _describe(rows: _Rows, bitrate: int | None) -> Iterator[str]:
             f"Bus load at {plain(bitrate / 1e3, 4)} kbit/s in windows of {window}: "
             f"mean {percent(1e3 * kbit_s / bitrate)}, highest {percent(rows['load'].max())}"
         )
-    yield "exact bits of all frames, with stuff bits and the pause behind a frame"
+    yield "exact bits of all frames, with stuff bits and pauses"
     errors = int(rows["errors"].sum())
     if errors:
         yield f"x: {count_text(errors, 'error frame')}, which have no length"

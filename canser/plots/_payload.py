@@ -40,6 +40,9 @@ _ID: Final = re.compile(r"(0[xX])?([0-9a-fA-F]{1,3}|[0-9a-fA-F]{8})")
 _LANES: Final = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).view(np.uint64)[:, 0]
 _ADDED_MOST: Final = 255
 
+# Frames that are counted together: what is made of them stays in the cache.
+_PART: Final = 1 << 16
+
 # The inches of a row, and of the sums at the right.
 _ROW_IN: Final = 0.105
 _SUM_IN: Final = 0.9
@@ -107,9 +110,15 @@ def payload(
     chosen = match(frames, id) & ~frames["rtr"] & time.is_timed()
     own = frames.compress(chosen)
     flips, byte_count = _flips(own), int(own["dlc"].max(initial=0))
-    sums = _add_up(flips, np.array([0]))[0, :byte_count].ravel() if len(own) else np.zeros(0)
+    # The axes is not there yet: its title has the number of bits that move.
+    moving = (
+        np.bitwise_or.reduce(flips.view(np.uint64)).reshape(1).view(np.uint8)
+        if len(own)
+        else np.zeros(8, np.uint8)
+    )
+    bit_count = int(np.unpackbits(moving).sum())
     title = (
-        f"Id {id.upper().removeprefix('0X')}: {int((sums > 0).sum()):,} of {8 * byte_count} bits "
+        f"Id {id.upper().removeprefix('0X')}: {bit_count} of {8 * byte_count} bits "
         f"move in {count_text(len(own), 'frame')}"
     )
     note = joined(
@@ -127,6 +136,7 @@ def payload(
     columns = min(column_count(ax), max(len(own) // 2, 1))
     counts, by_column = count_flips(flips, time.columns(columns)[chosen], columns)
     _draw_bits(ax, by_column[:, :byte_count].reshape(columns, -1).T, counts, time, style)
+    sums = by_column[:, :byte_count].sum(axis=0).ravel()
     _draw_sums(ax, sums / max(len(own) - 1, 1), style)
     return figure_of(ax)
 
@@ -151,8 +161,10 @@ def count_flips(
         columns, flips = columns[order], flips[order]
     counts = np.bincount(columns, minlength=count)
     sums = np.zeros((count, 8, 8), np.int64)
-    there = np.flatnonzero(counts)
-    sums[there] = _add_up(flips, (np.cumsum(counts) - counts)[there])
+    for first in range(0, len(flips), _PART):
+        part = columns[first : first + _PART]
+        starts = np.flatnonzero(np.append(True, part[1:] != part[:-1]))
+        sums[part[starts]] += _add_up(flips[first : first + _PART], starts)
     return counts, sums
 
 

@@ -183,7 +183,7 @@ def describe(table: IdTable) -> tuple[str, str]:
     if not len(stats):
         return "There are no frames", ""
     counts = {name: int((stats["pattern"] == name).sum()) for name in ("periodic", "bursts")}
-    parts = [f"{counts['periodic']:,} of {count_text(len(stats), 'id')} are periodic"]
+    parts = [f"{counts['periodic']:,} of {count_text(len(stats), 'id is', 'ids are')} periodic"]
     if counts["bursts"]:
         parts[0] += f", {counts['bursts']:,} come in bursts"
     missing = float(np.nansum(stats["missing"]))

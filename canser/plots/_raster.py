@@ -112,7 +112,9 @@ def draw_raster(ax: "Axes", time: Timeline, table: IdTable, style: Style) -> Non
         return
     columns = column_count(ax)
     counts = count_frames(table.line_of_frames(), time.columns(columns), len(table), columns)
-    colours, scale = count_colours(style, 1, int(counts.max()))
+    # A row for many ids may have more: otherwise all others would be pale.
+    most = counts[: table.shown or None].max()
+    colours, scale = count_colours(style, 1, int(most))
     image = ax.imshow(
         np.ma.masked_equal(counts, 0),
         extent=(0, time.shown, len(table) - 0.5, -0.5),
@@ -120,7 +122,7 @@ def draw_raster(ax: "Axes", time: Timeline, table: IdTable, style: Style) -> Non
         interpolation="nearest",
         cmap=colours,
         norm=scale,
-        zorder=2,
+        zorder=2.6,  # over the line at the left, which would hide a frame
     )
     width = time.length_text(time.shown / columns)
     colour_bar(ax, image, f"frames in {width}", style, ticks=plain)

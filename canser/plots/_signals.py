@@ -161,20 +161,26 @@ class _Part(NamedTuple):
 
 def _lay_out(signals: Sequence[Signal]) -> tuple[Timeline, list[Samples]]:
     """Return the common time axis, and where the samples are on it."""
-    times: dict[int, list[_Part]] = {}
+    times: dict[int, tuple[Timeline, list[_Part]]] = {}
     for signal in signals:
         if id(signal.ts) not in times:
             times[id(signal.ts)] = _parts(signal.ts)
-    counts = {len(parts) for parts in times.values() if parts}
-    if len(counts) > 1:
+    time = _join([each for each in times.values() if each[1]])
+    return time, [_placed(signal, times[id(signal.ts)][1], time) for signal in signals]
+
+
+def _join(times: list[tuple[Timeline, list[_Part]]]) -> Timeline:
+    """Return the time axis of signals; a group of them has its own one already."""
+    if len(times) == 1:
+        return times[0][0]
+    if len({len(parts) for _, parts in times}) > 1:
         raise ValueError(
             "the clock restarts, and not all of these signals have samples in each part; draw "
             "them one by one, or a part that canser.between chooses"
         )
-    chains = zip(*(parts for parts in times.values() if parts), strict=True)
+    chains = zip(*(parts for _, parts in times), strict=True)
     every = [np.sort(np.concatenate([part.ns for part in chain])) for chain in chains]
-    time = Timeline(_frames_at(np.concatenate([np.zeros(0, np.int64), *every])))
-    return time, [_placed(signal, times[id(signal.ts)], time) for signal in signals]
+    return Timeline(_frames_at(np.concatenate([np.zeros(0, np.int64), *every])))
 
 
 def _frames_at(ns: _Ints) -> FrameArray:
@@ -183,8 +189,11 @@ def _frames_at(ns: _Ints) -> FrameArray:
     return frames
 
 
-def _parts(ts: npt.NDArray[np.datetime64]) -> list[_Part]:
-    """Return the samples between the restarts of the clock, without those of false times."""
+def _parts(ts: npt.NDArray[np.datetime64]) -> tuple[Timeline, list[_Part]]:
+    """Return the time axis of some samples, and the samples between restarts of the clock.
+
+    Those of false times are left out.
+    """
     ns = ts.astype("M8[ns]").view(np.int64)
     frames = _frames_at(ns)
     stats = IdStats()
@@ -200,7 +209,7 @@ def _parts(ts: npt.NDArray[np.datetime64]) -> list[_Part]:
         )
         order = index[np.argsort(ns[index], kind="stable")]
         parts.append(_Part(order, ns[order], np.nan_to_num(_JOINED * period, nan=np.inf)))
-    return parts
+    return time, parts
 
 
 def _placed(signal: Signal, parts: list[_Part], time: Timeline) -> Samples:

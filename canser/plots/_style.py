@@ -232,7 +232,7 @@ def put_title(
 def _wrap(title: str, note: str, inches: float) -> tuple[str, str]:
     """Return a title and a note in lines that are no longer than these inches."""
     return (
-        wrapped(title, int(inches * 72 / (TITLE_PT * 0.63))),
+        wrapped(title, int(inches * 72 / (TITLE_PT * 0.6))),
         wrapped(note, int(inches * 72 / (NOTE_PT * 0.55))),
     )
 

@@ -196,6 +196,12 @@ class Timeline:
             return count_text(max(round(length), 1), "frame")
         return duration_text(1e9 * length)
 
+    def covers(self, chain: int, begin: _Ints, end: _Ints) -> npt.NDArray[np.bool_]:
+        """Return which stretches of time lie in one run; `chain`: as for `place`."""
+        runs = np.flatnonzero(self._chain == chain)
+        run = runs[np.clip(np.searchsorted(self._begin[runs], begin, "right") - 1, 0, None)]
+        return (begin >= self._begin[run]) & (end <= self._ends[run])
+
     def columns(self, count: int) -> npt.NDArray[np.int32]:
         """Return the column of each frame, of `count` columns over the axis; -1 without a time."""
         scale = count / self.shown
