@@ -23,7 +23,8 @@ _SILENT: Final = 5
 # The inches of the figures at the right.
 FIGURES_IN: Final = 1.75
 
-# Intervals are drawn from here on: the scale is logarithmic, and some are 0.
+# Intervals are drawn from here on, or from half a step of the times on: the scale is logarithmic,
+# and some are 0.
 _LEAST_MS: Final = 0.01
 
 
@@ -91,8 +92,9 @@ def draw_periods(ax: "Axes", table: IdTable, style: Style, *, labels: bool = Tru
         ax.set_xticks([])
         say(ax, "no intervals", style)
         return
+    least = max(_LEAST_MS, table.stats["time_step_ns"][0] / 2e6)
     ms = {
-        name: np.maximum(values[known] / 1e6, _LEAST_MS)
+        name: np.maximum(values[known] / 1e6, least)
         for name, values in (
             ("least", shown["interval_min_ns"]),
             ("low", table.low_ns[: table.shown]),
