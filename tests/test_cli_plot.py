@@ -1,5 +1,6 @@
 """`canser plot`: the file that it writes, and the calls that it refuses."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,6 @@ import pytest
 import canser
 from calls import BAD_CALL, BAD_DATA, GOOD, assert_fails, names, run
 from canser.simulation.traffic import vehicle
-from test_docstrings import CAR_DBC
 
 pytest.importorskip("matplotlib")
 
@@ -18,10 +18,9 @@ PNG = b"\x89PNG\r\n\x1a\n"
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     frames = vehicle(1, extended=False)
-    frames["id"][frames["id"] == frames["id"][0]] = 0x123
     canser.write(frames, tmp_path / "run.log")
     (tmp_path / "run.bin").write_bytes(canser.encode(frames, "serial"))
-    (tmp_path / "car.dbc").write_text(CAR_DBC)
+    shutil.copy(Path(__file__).parents[1] / "examples" / "car.dbc", tmp_path)
     return tmp_path
 
 
@@ -31,7 +30,7 @@ def folder(tmp_path: Path) -> Path:
         "run.log -o x.png",
         "run.bin -p serial -b 500000 --window 200ms --kind load -o x.png --dark --width 800",
         "run.log --kind raster --start 100ms --end 200ms -o x.svg",
-        "run.log --id 123 -o x.png",
+        "run.log --id 0A0 -o x.png",
         "run.bin -p serial --kind stream -o x.png",
         "run.log run.bin -p serial --kind compare -o x.pdf",
         "run.log --kind ids --start 5s -o x.png",
@@ -77,7 +76,7 @@ def test_a_file_is_replaced_with_force_only(folder: Path) -> None:
         ("run.log --kind payload -o x.png", BAD_CALL, "give --id"),
         ("run.log --kind signals -o x.png", BAD_CALL, "give --db"),
         ("run.log --kind compare -o x.png", BAD_CALL, "takes two files IN, not 1"),
-        ("run.log --id 123 -b 5 -o x.png", BAD_CALL, "--bitrate goes with --kind overview or load"),
+        ("run.log --id 0A0 -b 5 -o x.png", BAD_CALL, "--bitrate goes with --kind overview or load"),
         ("run.log --id 12345 -o x.png", BAD_CALL, "'12345' is no id"),
         ("run.log --kind stream -o x.png", BAD_CALL, "run.log holds frames"),
         ("run.bin -p serial --kind stream --end 1s -o x.png", BAD_CALL, "shows all bytes"),
