@@ -1,5 +1,6 @@
 """Pictures: what they show, at which places, and what they must not show."""
 
+import doctest
 import inspect
 import threading
 from pathlib import Path
@@ -510,3 +511,14 @@ def test_each_public_picture_documents_its_parameters() -> None:
         documented = [each.name for each in found["parameters"]]
         assert documented == list(inspect.signature(function).parameters), name
         assert {"returns", "raises", "examples"} <= found.keys(), name
+
+
+@pytest.mark.parametrize("name", plots.__all__)
+def test_examples_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = inspect.getdoc(getattr(plots, name)) or ""
+    test = doctest.DocTestParser().get_doctest(text, {"np": np, "canser": canser}, name, name, 0)
+    report: list[str] = []
+    doctest.DocTestRunner(verbose=False).run(test, out=report.append)
+    assert test.examples
+    assert not report, "".join(report)

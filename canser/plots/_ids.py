@@ -62,7 +62,7 @@ def ids(
     >>> from canser import plots
     >>> frames = canser.frames("123#01", "123#02", "124#")
     >>> plots.ids(frames).axes[0].get_title(loc="left")
-    '3 frames of 2 ids; 123 has most of the bits: 69.4 %'
+    '3 frames of 2 ids; 123 has most of the bits: 70.6 %'
     """
     check_frames(frames, "frames")
     style, table = style_of(dark), IdTable(frames)

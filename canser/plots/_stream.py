@@ -95,7 +95,7 @@ def stream(
     >>> raw = canser.encode(frames, "serial")
     >>> _ = Path("run.bin").write_bytes(raw[:500] + b"noise" + raw[500:])
     >>> plots.stream("run.bin", "serial").axes[0].get_title(loc="left")
-    '13 of 1,205 bytes are skipped (1.1 %)'
+    '17 of 1,205 bytes are skipped (1.4 %)'
     """
     style = style_of(dark)
     if isinstance(source, Blocks):
