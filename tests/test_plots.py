@@ -11,7 +11,7 @@ import pytest
 
 import canser
 from canser._frames import NO_TIME, FrameArray
-from canser.signals.signals import Signal
+from canser.signals.signal import Signal
 from canser.simulation.traffic import line_noise, vehicle
 
 pytest.importorskip("matplotlib")
@@ -399,6 +399,13 @@ def test_a_line_breaks_where_samples_are_missing() -> None:
     for each, breaks in ((full, 0), (cut, 1)):
         line = plots.signals({"S": each}).axes[0].lines[0]
         assert np.isnan(line.get_ydata()).sum() == breaks
+
+
+def test_what_resampling_does_not_know_is_not_drawn() -> None:
+    valid = np.arange(100) >= 40
+    figure = plots.signals({"S": signal(np.where(valid, 5.0, 0.0), valid=valid)})
+    assert title(figure) == "M.S: 5 to 5, mean 5"
+    assert len(np.asarray(figure.axes[0].lines[0].get_xdata())) == 60
 
 
 def test_a_dense_signal_has_its_mean_as_a_line() -> None:

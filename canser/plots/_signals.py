@@ -24,7 +24,7 @@ from canser.plots._style import (
 )
 from canser.plots._text import count_text, joined, plain
 from canser.plots._timeline import Timeline
-from canser.signals.signals import Signal
+from canser.signals.signal import Signal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -218,10 +218,16 @@ def _placed(signal: Signal, parts: list[_Part], time: Timeline) -> Samples:
         values = signal.raw
     at, found, starts, count = [np.zeros(0)], [values[:0]], [np.zeros(0, np.intp)], 0
     for chain, part in enumerate(parts):
-        at.append(time.place(chain, part.ns))
-        found.append(values[part.places])
-        starts.append(count + np.flatnonzero(np.append(True, np.diff(part.ns) > part.most)))
-        count += len(part.ns)
+        places, ns = part.places, part.ns
+        if signal.valid is not None:
+            valid = signal.valid[places]
+            places, ns = places[valid], ns[valid]
+        if not len(ns):
+            continue
+        at.append(time.place(chain, ns))
+        found.append(values[places])
+        starts.append(count + np.flatnonzero(np.append(True, np.diff(ns) > part.most)))
+        count += len(ns)
     return Samples(np.concatenate(at), np.concatenate(found), np.concatenate(starts))
 
 
