@@ -1,0 +1,113 @@
+"""The database of a command: its arguments, its opening, its remarks."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import PurePath
+from typing import Any, Final
+
+from canser.commands._parser import CallError, write_line
+from canser.commands._screen import warnings_as_lines
+from canser.signals.database import Database
+from canser.signals.decoder import SignalDecoder
+
+__all__ = ["database_arguments", "is_database", "make_decoder", "open_database"]
+
+MATCHES: Final = ("auto", "id", "pgn")
+
+_SUFFIXES: Final = (".dbc", ".kcd", ".arxml", ".sym")
+
+# Messages and signals that cannot be decoded, which are named.
+_NAMED_MOST: Final = 5
+
+
+class _Append(argparse.Action):
+    """Take a database from an option, so that the argument is not needed."""
+
+    def __init__(self, *args: Any, instead_of: argparse.Action | None, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._instead_of = instead_of
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,  # noqa: ARG002 - as argparse calls it
+        namespace: argparse.Namespace,
+        values: Any,
+        option: str | None = None,  # noqa: ARG002
+    ) -> None:
+        namespace.databases = [*namespace.databases, values]
+        if self._instead_of is not None:
+            self._instead_of.required = False
+
+
+def database_arguments(
+    parser: argparse.ArgumentParser, *, instead_of: argparse.Action | None = None
+) -> None:
+    """Add the arguments that name a database and choose signals.
+
+    `instead_of`: an argument that names one, and is not needed if the option does.
+    """
+    group = parser.add_argument_group("the database")
+    group.add_argument(
+        "--db",
+        dest="databases",
+        metavar="DB",
+        action=_Append,
+        instead_of=instead_of,
+        default=[],
+        help="database of messages and signals: DBC, KCD, ARXML or SYM; may be given several "
+        "times, and the first one that has an id counts",
+    )
+    group.add_argument(
+        "--signal",
+        dest="signals",
+        metavar="NAME",
+        action="append",
+        help="only this signal: RPM, EngineData.RPM, EngineData for all of the message, or with * "
+        "and ? for any characters, in quotes; may be given several times (default: all)",
+    )
+    group.add_argument(
+        "--match",
+        choices=MATCHES,
+        default="auto",
+        help="how the message of a frame is found: id for its id alone; pgn for the parameter "
+        "group number of extended ids; auto for the id, or the group where the database marks "
+        "messages as such of J1939 (default: auto)",
+    )
+    group.add_argument(
+        "--encoding",
+        help="encoding of the database, such as cp1252 (default: UTF-8 if it is that, else cp1252)",
+    )
+
+
+def is_database(path: str) -> bool:
+    """Return whether a file is named as a database."""
+    return PurePath(path).suffix.lower() in _SUFFIXES
+
+
+def open_database(args: argparse.Namespace, paths: Sequence[str] | None = None) -> Database:
+    """Open the databases that the arguments name, or these; CallError without cantools."""
+    try:
+        with warnings_as_lines(write_line):
+            database = Database(
+                *(args.databases if paths is None else paths),
+                match=args.match,
+                encoding=args.encoding,
+            )
+    except ImportError as error:
+        raise CallError(str(error)) from None
+    except LookupError as error:
+        raise CallError(f"--encoding: {error}") from None
+    left_out = list(database.left_out.items())
+    for name, reason in left_out[:_NAMED_MOST]:
+        write_line(f"{name} is left out: {reason}")
+    if len(left_out) > _NAMED_MOST:
+        write_line(f"and {len(left_out) - _NAMED_MOST:,} more are left out")
+    return database
+
+
+def make_decoder(database: Database, args: argparse.Namespace) -> SignalDecoder:
+    """Return a decoder of the signals that the arguments choose; CallError for a wrong name."""
+    try:
+        return database.decoder(args.signals)
+    except ValueError as error:
+        raise CallError(str(error)) from None
