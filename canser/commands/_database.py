@@ -10,7 +10,7 @@ from canser.commands._screen import warnings_as_lines
 from canser.signals.database import Database
 from canser.signals.decoder import SignalDecoder
 
-__all__ = ["database_arguments", "is_database", "make_decoder", "open_database"]
+__all__ = ["check_database", "database_arguments", "is_database", "make_decoder", "open_database"]
 
 MATCHES: Final = ("auto", "id", "pgn")
 
@@ -77,6 +77,12 @@ def database_arguments(
         "--encoding",
         help="encoding of the database, such as cp1252 (default: UTF-8 if it is that, else cp1252)",
     )
+
+
+def check_database(args: argparse.Namespace) -> None:
+    """Raise CallError if signals are chosen, but no database is given."""
+    if args.signals and not args.databases:
+        raise CallError("--signal needs a database; give it with --db car.dbc")
 
 
 def is_database(path: str) -> bool:

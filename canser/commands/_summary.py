@@ -7,6 +7,7 @@ import numpy as np
 
 from canser._frames import FrameArray
 from canser.analysis.plain import to_plain
+from canser.files.tags import printable
 from canser.signals.database import Database
 from canser.signals.decoder import SignalDecoder
 from canser.signals.messages import SignalInfo
@@ -54,8 +55,10 @@ class _Range:
         for name in _HEAD[3:]:
             value, raw = self.picked.get(name, (None, None))
             text = choice_text(self.info.choices, raw)
-            texts.append("-" if value is None else text or number_text(value, self.info))
-        return [f"{self.message}.{self.name}", self.info.unit, f"{self.count:,}", *texts]
+            number = "-" if value is None else number_text(value, self.info)
+            texts.append(number if text is None else printable(text))
+        unit = printable(self.info.unit) if self.info.unit else ""
+        return [f"{self.message}.{self.name}", unit, f"{self.count:,}", *texts]
 
     def as_dict(self) -> dict[str, Any]:
         """Return all as values that JSON has."""

@@ -48,13 +48,13 @@ class SampleWriter:
         for at in range(0, len(frames), _FRAMES_AT_ONCE):
             part = frames[at : at + _FRAMES_AT_ONCE]
             samples = numbered_samples(self._decoder, part)
-            cells = np.empty(2 * samples.count, object)
+            cells = np.empty(2 * samples.total, object)
             counts = np.diff(samples.ends, prepend=0)
             is_used = counts > 0
             cells[::2] = np.repeat(self._times.texts(part["ts"][is_used]), counts[is_used])
             cells[1::2] = samples.texts(self._tail_of)
             self._file.write(b"".join(cells.tolist()))
-            self.count += samples.count
+            self.count += samples.total
 
     def _tail_of(self, signal: Signal) -> Callable[[Any, Any], bytes]:
         """Return the function that makes the row of a sample behind its time."""

@@ -27,13 +27,13 @@ class Samples(NamedTuple):
     ends: _Places
 
     @property
-    def count(self) -> int:
+    def total(self) -> int:
         """All samples."""
         return int(self.ends[-1]) if len(self.ends) else 0
 
     def texts(self, make: Callable[[Signal], Callable[[Any, Any], Any]]) -> npt.NDArray[np.object_]:
         """Return for each place what the function of its signal makes of value and raw value."""
-        found = np.empty(self.count, object)
+        found = np.empty(self.total, object)
         for signal, places in self.signals:
             found[places] = sample_texts(signal, make(signal))
         return found
@@ -71,4 +71,5 @@ def sample_texts(signal: Signal, make: Callable[[Any, Any], Any]) -> npt.NDArray
     at = heads[first]
     made = np.empty(len(at), object)
     made[:] = list(map(make, signal.values[at].tolist(), raw[at].tolist()))
-    return made[different][np.cumsum(is_new) - 1]
+    texts: npt.NDArray[np.object_] = made[different][np.cumsum(is_new) - 1]
+    return texts
