@@ -90,6 +90,7 @@ if TYPE_CHECKING:
     from canser.signals.messages import SignalInfo as SignalInfo
     from canser.signals.report import DecodeReport as DecodeReport
     from canser.signals.signals import Group as Group
+    from canser.signals.signals import Resampled as Resampled
     from canser.signals.signals import Signal as Signal
     from canser.signals.signals import Signals as Signals
     from canser.simulation.faults import Faults as Faults
@@ -233,6 +234,7 @@ _HOMES: Final = {
     "canser.signals.report": ("DecodeReport",),
     "canser.signals.signals": (
         "Group",
+        "Resampled",
         "Signal",
         "Signals",
     ),

@@ -986,7 +986,7 @@ int canser_order_rows(const uint32_t *row_of, const int64_t *steps, size_t frame
 /* Samples that are kept for a group before its signals are decoded. */
 #define CANSER_SIGNAL_BLOCK 256
 
-/* How deep multiplexers may lie behind multiplexers. */
+/* How deep multiplexers may lie behind multiplexers: C goes down by calls. */
 #define CANSER_MUX_DEPTH 32
 
 /* No message, no table; no page, and pages that a route has no room for. */
@@ -1053,7 +1053,6 @@ typedef struct {
     uint32_t first_mux;
     uint32_t mux_count;
     uint32_t full_dlc; /* shorter frames do not have all of it */
-    uint32_t depth;    /* of multiplexers below, at most CANSER_MUX_DEPTH */
 } canser_page;
 
 /* A multiplexer: a number whose value selects pages. */
@@ -1138,6 +1137,47 @@ int canser_database_decode(canser_database *self, const canser_frame *frames, si
 /* Move the ids to a table of zeros with `id_cap` places, a power of two. The table before may be
  * just a row of ids, of any number. Returns CANSER_OK, CANSER_NULL or CANSER_RANGE. */
 int canser_database_move_ids(canser_database *self, canser_known_id *ids, size_t id_cap);
+
+/* ---- For signals: their values at other times than their own. */
+
+/* The samples of a signal. */
+typedef struct {
+    const int64_t *ts;  /* rising; of samples of equal times the last one counts */
+    const void *values; /* 8 bytes each; need not be aligned */
+    size_t count;
+} canser_samples;
+
+/* The times for which values are asked. */
+typedef struct {
+    const int64_t *times; /* rising, and equal times are allowed; NULL: first + i * step */
+    int64_t first;
+    int64_t step; /* 1 or more, if `times` is NULL */
+    size_t count;
+} canser_grid;
+
+/* Copy the value of the last sample at or before each time of a grid to `out`, 8 bytes each.
+ * valid[i] is 1 if there is such a sample, and it is at most `max_age` nanoseconds old; otherwise
+ * it is 0, and `missing` is copied.
+ *
+ * `out` and `valid` share no byte with each other and with the samples. If the times of the samples
+ * or of the grid do not rise, some samples are passed over, and nothing else happens.
+ *
+ * Returns CANSER_OK; before anything was written CANSER_NULL, CANSER_MISALIGNED, or CANSER_RANGE
+ * for a step of less than 1, or times of the grid above INT64_MAX. Arrays may be NULL if their
+ * count is 0. */
+int canser_resample_previous(const canser_samples *samples, const canser_grid *grid,
+                             uint64_t max_age, uint64_t missing, void *out, uint8_t *valid);
+
+/* The same, but all values are double, and lie on the line from the last sample at or before a
+ * time to the first one behind it. At the time of a sample it is the sample's own value. Between
+ * two samples there is no value if they are more than `max_age` nanoseconds apart; and none in
+ * front of the first sample, and behind the last one. */
+int canser_resample_linear(const canser_samples *samples, const canser_grid *grid, uint64_t max_age,
+                           uint64_t missing, void *out, uint8_t *valid);
+
+/* Set `*rise` to 1 if no time is before the one in front of it, else to 0. Returns CANSER_OK,
+ * CANSER_NULL or CANSER_MISALIGNED. */
+int canser_times_rise(const int64_t *ts, size_t count, uint8_t *rise);
 
 /* ---- For tables of other programs: frames and other records as columns of Arrow. */
 

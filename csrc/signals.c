@@ -164,7 +164,7 @@ static void fill_float(const canser_signal *signal, const uint64_t *restrict num
     else if (signal->kind == CANSER_SIGNAL_FLOAT32)
         FILL(double, of_float32((uint32_t)(number >> shift)));
     else
-        FILL(double, of_float16((uint32_t)(number >> shift)));
+        FILL(double, of_float16((uint32_t)(number >> shift) & 0xffff));
     if (!signal->is_raw && (signal->factor != 1 || signal->addend != 0))
         for (size_t i = 0; i < count; i++)
             values[i] = values[i] * signal->factor + signal->addend;

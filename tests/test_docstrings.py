@@ -7,6 +7,7 @@ import inspect
 import itertools
 import logging
 import re
+import shutil
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -151,12 +152,7 @@ def test_a_class_says_what_makes_it_and_what_its_fields_are(name: str) -> None:
 
 
 # The database that examples of signals open.
-CAR_DBC = """BU_: ECU
-BO_ 291 EngineData: 8 ECU
- SG_ RPM : 0|16@1+ (0.25,0) [0|16000] "rpm" ECU
- SG_ Gear : 16|4@1+ (1,0) [0|0] "" ECU
-VAL_ 291 Gear 0 "neutral" 1 "first" ;
-"""
+CAR_DBC = Path(__file__).parents[1] / "examples" / "car.dbc"
 
 
 def has_example(text: str) -> bool:
@@ -182,7 +178,7 @@ def test_examples_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         if name.endswith(package):
             pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "car.dbc").write_text(CAR_DBC)
+    shutil.copy(CAR_DBC, tmp_path)
     flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     test = doctest.DocTestParser().get_doctest(text, {"np": np, "canser": canser}, name, name, 0)
     report: list[str] = []

@@ -5,6 +5,7 @@ import fnmatch
 import os
 import warnings
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Final
 
@@ -65,10 +66,11 @@ class Database:
     --------
     >>> db = canser.Database("car.dbc")
     >>> db
-    <canser.Database: 1 messages, 2 signals>
-    >>> rpm = db.decode(canser.frames("123#401F01", "123#602001"))["RPM"]
+    <canser.Database: 4 messages, 10 signals>
+    >>> frames = canser.frames("0A0#1027983A00000003", "0A0#7427983A00000004")
+    >>> rpm = db.decode(frames)["RPM"]
     >>> rpm.values
-    array([2000., 2072.])
+    array([2000., 2020.])
     >>> rpm.unit
     'rpm'
     """
@@ -90,6 +92,8 @@ class Database:
             left_out |= loaded.left_out
             for message in loaded.messages:
                 other = messages.get(message.name) or ids.get((message.id, message.ext))
+                if other and replace(message, path=other.path) == other:
+                    continue
                 if other:
                     why = f"{other.path} has {other.name} with the id {other.id:X}"
                     left_out[message.name] = why
@@ -148,12 +152,14 @@ class Database:
         Examples
         --------
         >>> db = canser.Database("car.dbc")
-        >>> signals = db.decode(canser.frames("123#401F01", "124#00"))
+        >>> frames = canser.frames("0A0#1027983A00000003", "124#00")
+        >>> signals = db.decode(frames)
         >>> list(signals)
-        ['EngineData.RPM', 'EngineData.Gear']
+        ['EngineData.RPM', 'EngineData.CoolantTemp', 'EngineData.Gear']
         >>> print(signals.report)
         1 of 2 frames belong to a message
         1 have an id that no message has: 124
+        3 messages were never seen: WheelSpeeds, Power, Speed
         """
         return self.decoder(names, raw=raw).feed(frames, out=out)
 
@@ -180,10 +186,10 @@ class Database:
         Examples
         --------
         >>> decoder = canser.Database("car.dbc").decoder("RPM")
-        >>> for batch in (canser.frames("123#401F"), canser.frames("123#6020")):
-        ...     print(decoder.feed(batch)["RPM"].values)
+        >>> for data in ("1027983A00000003", "7427983A00000004"):
+        ...     print(decoder.feed(canser.frames(f"0A0#{data}"))["RPM"].values)
         [2000.]
-        [2072.]
+        [2020.]
         """
         flag(raw, "raw")
         selected = None if names is None else self._find(names)
@@ -211,9 +217,9 @@ class Database:
         Examples
         --------
         >>> db = canser.Database("car.dbc")
-        >>> frames = db.encode({"EngineData": {"RPM": 2000, "Gear": "first"}})
-        >>> canser.show(frames)
-        (0.000000) can0 123#401F010000000000
+        >>> values = {"RPM": 2000, "CoolantTemp": 35, "Gear": "first"}
+        >>> canser.show(db.encode({"EngineData": values}))
+        (0.000000) can0 0A0#1027983A00000003
         1 frame; a time that is not known is shown as 0
         """
         frames = np.zeros(len(messages), FRAME_DTYPE)

@@ -161,7 +161,7 @@ def _load(name: str, encoding: str | None) -> Any:
         warnings.warn(
             f"{name}: skipped what cantools refuses: {', '.join(skipped)}",
             CanserWarning,
-            stacklevel=5,
+            stacklevel=4,
         )
     return found
 

@@ -1,5 +1,6 @@
 """Values of signals to the data of a frame."""
 
+import math
 import struct
 from collections.abc import Mapping
 from typing import Any, Final
@@ -74,6 +75,8 @@ def _raw(message: Message, signal: SignalInfo, value: float | str) -> Any:
                 return raw
         have = ", ".join((signal.choices or {}).values()) or "none"
         raise ValueError(f"{what} has no text {value!r}; it has: {have}")
+    if not signal.is_float and not math.isfinite(value):
+        raise ValueError(f"{what} is {value}, which whole bits cannot hold")
     if signal.minimum is not None and value < signal.minimum:
         raise ValueError(f"{what} is {value}; the database tells a minimum of {signal.minimum}")
     if signal.maximum is not None and value > signal.maximum:

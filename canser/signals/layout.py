@@ -52,7 +52,7 @@ class Layout:
         self.is_selected = selected is not None
         self._selected, self._keeps_raw = selected, keeps_raw
         self._records: list[Record] = []
-        self._page_records: list[tuple[int, int, int, int]] = []
+        self._page_records: list[tuple[int, int, int]] = []
         self._muxes: list[tuple[Any, ...]] = []
         self._cases: list[tuple[int, int, int, int]] = []
         self._links: list[int] = []
@@ -69,7 +69,7 @@ class Layout:
     def _make_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return the tables that SignalTables takes."""
         pages = np.zeros(len(self.pages), PAGE_DTYPE)
-        names = ("first_mux", "mux_count", "full_dlc", "depth")
+        names = ("first_mux", "mux_count", "full_dlc")
         for name, values in zip(names, np.array(self._page_records).T, strict=bool(self.pages)):
             pages[name] = values
         messages = np.zeros(len(self.messages), MESSAGE_DTYPE)
@@ -132,7 +132,7 @@ class Layout:
                 self._records += plan.records
                 plans.setdefault(plan.least_dlc, []).append(plan)
         self.pages.append(Page(name, message, dict(sorted(plans.items()))))
-        self._page_records.append((0, 0, 0, 0))
+        self._page_records.append((0, 0, 0))
         muxes = [each for each in signals if each.is_multiplexer and below.get(each.name)]
         if muxes and not depth:
             raise ValueError(
@@ -141,7 +141,7 @@ class Layout:
             )
         records = [self._mux(message, name, mux, below, depth - 1) for mux in muxes]
         full = max((-(-each.last_bit // 8) for each in signals), default=0)
-        self._page_records[number] = (len(self._muxes), len(records), full, MUX_DEPTH - depth)
+        self._page_records[number] = (len(self._muxes), len(records), full)
         self._muxes += records
         return number
 
