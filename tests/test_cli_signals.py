@@ -7,6 +7,8 @@ import io
 import json
 import subprocess
 import sys
+from collections.abc import Callable
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,8 @@ import numpy as np
 import pytest
 
 import canser
-from calls import BAD_CALL, BAD_DATA, GOOD, assert_fails, names, run
+from calls import BAD_CALL, BAD_DATA, GOOD, assert_fails, names
+from canser.commands import cli
 from canser.commands._signal_lines import SignalLines
 from canser.signals.csv import SampleWriter
 from canser.signals.messages import SignalInfo
@@ -45,6 +48,24 @@ def doubles(*values: float) -> list[str]:
     return [f"125#{np.float64(value).tobytes().hex()}" for value in values]
 
 
+Run = Callable[..., "subprocess.CompletedProcess[bytes]"]
+
+
+@pytest.fixture
+def run(capfdbinary: pytest.CaptureFixture[bytes], monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Return a function that runs the command in a folder; here, as it takes long to load."""
+
+    def call(folder: Path, *arguments: str) -> "subprocess.CompletedProcess[bytes]":
+        monkeypatch.chdir(folder)
+        try:
+            code = cli.main(arguments)
+        except SystemExit as error:
+            code = int(str(error))
+        return subprocess.CompletedProcess(arguments, code, *capfdbinary.readouterr())
+
+    return call
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a log and a database; nothing writes into it."""
@@ -72,7 +93,7 @@ def rows_of(text: bytes) -> list[list[str]]:
     return list(csv.reader(io.StringIO(text.decode(), newline="")))
 
 
-def test_the_summary_has_the_report_and_a_row_for_each_signal(folder: Path) -> None:
+def test_the_summary_has_the_report_and_a_row_for_each_signal(folder: Path, run: Run) -> None:
     done = run(folder, "signals", "run.npy", "car.dbc")
     assert (done.returncode, done.stderr) == (GOOD, b"")
     assert done.stdout.decode().splitlines() == [
@@ -91,7 +112,7 @@ def test_the_summary_has_the_report_and_a_row_for_each_signal(folder: Path) -> N
     ]
 
 
-def test_a_name_chooses_signals_with_or_without_samples(folder: Path) -> None:
+def test_a_name_chooses_signals_with_or_without_samples(folder: Path, run: Run) -> None:
     done = run(folder, "signals", "run.npy", "car.dbc", "--signal", "*.R*", "--signal", "Gear")
     assert done.returncode == GOOD
     lines = [line.split()[0] for line in done.stdout.decode().splitlines()[6:]]
@@ -99,7 +120,7 @@ def test_a_name_chooses_signals_with_or_without_samples(folder: Path) -> None:
     assert done.stdout.decode().splitlines()[-1].split() == ["Pages.Right", "0", *"----"]
 
 
-def test_the_summary_as_json(folder: Path) -> None:
+def test_the_summary_as_json(folder: Path, run: Run) -> None:
     done = run(folder, "signals", "run.npy", "car.dbc", "--json", "--signal", "Gear,Level")
     assert_fails(done, BAD_CALL, "'Gear,Level'")
     names_of = ("--signal", "Gear", "--signal", "Level", "--signal", "Right")
@@ -109,9 +130,18 @@ def test_the_summary_as_json(folder: Path) -> None:
     assert found["report"]["unknown_ids"] == [{"id": 0x7FF, "ext": False, "count": 1}]
     gear, right, level = found["signals"]
     assert gear == {
-        **{"message": "EngineData", "signal": "Gear", "unit": "", "samples": 2},
-        **{"first": 1, "first_text": 'first, "slow"', "min": 1, "min_text": 'first, "slow"'},
-        **{"max": 3, "max_text": None, "last": 3, "last_text": None},
+        "message": "EngineData",
+        "signal": "Gear",
+        "unit": "",
+        "samples": 2,
+        "first": 1,
+        "first_text": 'first, "slow"',
+        "min": 1,
+        "min_text": 'first, "slow"',
+        "max": 3,
+        "max_text": None,
+        "last": 3,
+        "last_text": None,
     }
     assert (right["samples"], right["first"], right["max"]) == (0, None, None)
     # JSON has no infinity.
@@ -137,7 +167,7 @@ ROWS = [
 
 
 @pytest.mark.parametrize("out", ["out.csv", "out.csv.gz", "-"])
-def test_a_row_for_each_sample(folder: Path, tmp_path: Path, out: str) -> None:
+def test_a_row_for_each_sample(folder: Path, tmp_path: Path, out: str, run: Run) -> None:
     source, db = str(folder / "run.npy"), str(folder / "car.dbc")
     done = run(tmp_path, "signals", source, db, "-o", out)
     assert done.returncode == GOOD
@@ -167,7 +197,7 @@ def test_blocks_do_not_matter(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_samples_are_those_that_cantools_finds(folder: Path) -> None:
     import cantools  # noqa: PLC0415 - an optional extra
 
-    judge = cantools.database.load_file(folder / "car.dbc")
+    judge: Any = cantools.database.load_file(folder / "car.dbc")
     random = np.random.default_rng(1)
     frames = np.zeros(500, canser.FRAME_DTYPE)
     frames["id"] = random.choice([0x123, 0x124, 0x125, 0x126], 500)
@@ -188,8 +218,12 @@ def test_samples_are_those_that_cantools_finds(folder: Path) -> None:
             assert row[:2] == [message.name, name]
             assert np.array_equal(float(row[2]), value, equal_nan=True)
             assert text == (str(texts[name]) if texts[name] is not value and text else "")
-            assert ts == "nan" if frame["ts"] == canser.NO_TIME else float(ts) * 1e9 == frame["ts"]
+            assert ts == "nan" if frame["ts"] == canser.NO_TIME else ns(ts) == frame["ts"]
     assert next(rows, None) is None
+
+
+def ns(seconds: str) -> int:
+    return int(Decimal(seconds).scaleb(9))
 
 
 def test_values_are_the_shortest_that_are_read_back(folder: Path) -> None:
@@ -201,7 +235,30 @@ def test_values_are_the_shortest_that_are_read_back(folder: Path) -> None:
     assert {row[0] for row in rows_of(file.getvalue())[1:]} == {"nan"}
 
 
-def test_files_and_databases_in_any_order(folder: Path) -> None:
+def test_a_row_for_each_time_of_a_grid(
+    folder: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("canser.signals.csv._FRAMES_AT_ONCE", 2)
+    chosen = ("--signal", "RPM", "--signal", "Gear", "--signal", "Page")
+    files = str(folder / "run.npy"), str(folder / "car.dbc"), "-o", str(tmp_path / "out.csv")
+    done = run(tmp_path, "signals", *files, *chosen, "--resample", "20ms", "--max-age", "30ms")
+    assert done.stderr.decode().splitlines()[0].endswith("out.csv: 3 signals at 6 times")
+    header, *rows = rows_of((tmp_path / "out.csv").read_bytes())
+    assert header == ["ts", "EngineData.RPM", "EngineData.Gear", "Pages.Page"]
+    assert rows == [
+        ["1631416514.000000", "2000.0", 'first, "slow"', ""],
+        ["1631416514.020000", "2000.0", 'first, "slow"', "0"],
+        ["1631416514.040000", "2072.0", "3", "0"],
+        ["1631416514.060000", "2072.0", "3", "1"],
+        ["1631416514.080000", "", "", "1"],
+        ["1631416514.100000", "", "", "0"],
+    ]
+    done = run(tmp_path, "signals", *files, "--force", "--resample", "10ms", "--how", "linear")
+    rows = rows_of((tmp_path / "out.csv").read_bytes())
+    assert [row[1] for row in rows[:4]] == ["EngineData.RPM", "2000.0", "2024.0", "2048.0"]
+
+
+def test_files_and_databases_in_any_order(folder: Path, run: Run) -> None:
     wanted = run(folder, "signals", "run.npy", "car.dbc").stdout
     for arguments in (("car.dbc", "run.npy"), ("run.npy", "--db", "car.dbc")):
         assert run(folder, "signals", *arguments).stdout == wanted
@@ -211,7 +268,7 @@ def test_files_and_databases_in_any_order(folder: Path) -> None:
     assert done.stdout.decode().splitlines()[0] == "6 of 8 frames belong to a message"
 
 
-def test_a_database_may_have_any_name(folder: Path, tmp_path: Path) -> None:
+def test_a_database_may_have_any_name(folder: Path, tmp_path: Path, run: Run) -> None:
     (tmp_path / "car.txt").write_text(DBC)
     source = str(folder / "run.npy")
     done = run(tmp_path, "signals", source, "car.txt")
@@ -219,16 +276,19 @@ def test_a_database_may_have_any_name(folder: Path, tmp_path: Path) -> None:
     assert done.stdout.startswith(b"9 of 11")
 
 
-def test_what_a_database_lacks_is_told(folder: Path, tmp_path: Path) -> None:
+def test_what_a_database_lacks_is_told(folder: Path, tmp_path: Path, run: Run) -> None:
     wide = DBC.replace("8|56@1-", "8|64@1-")
     (tmp_path / "car.dbc").write_text(wide)
     (tmp_path / "b.dbc").write_text(DBC + 'VAL_ 291 Nothing 0 "a" ;\n')
     done = run(tmp_path, "signals", str(folder / "run.npy"), "car.dbc", "b.dbc", "-o", "-")
     assert done.returncode == GOOD
     lines = done.stderr.decode().splitlines()
-    assert lines[0].startswith("b.dbc: skipped what cantools refuses: line 16")
-    assert lines[1].startswith("b.dbc: message EngineData is left out, as car.dbc has EngineData")
-    assert "Pages.Right is left out: it has bits past the 8 bytes of a frame" in lines
+    assert lines[0].startswith("b.dbc: skipped what cantools refuses: line 14")
+    assert lines[1:3] == [
+        "b.dbc: message Pages is left out, as car.dbc has Pages with the id 124",
+        "Pages.Right is left out: it has bits past the 8 bytes of a frame",
+    ]
+    assert lines[3].startswith(f"{folder / 'run.npy'} -> -: ")
 
 
 WRONG = [
@@ -239,9 +299,12 @@ WRONG = [
     (["run.npy", "car.dbc", "--signal", "RPN"], BAD_CALL, "did you mean RPM?"),
     (["run.npy", "car.dbc", "--encoding", "klingon"], BAD_CALL, "unknown encoding: klingon"),
     (["run.npy", "car.dbc", "-o", "out.txt"], BAD_CALL, "out.txt tells no format"),
+    (["run.npy", "car.dbc", "--resample", "10ms"], BAD_CALL, "name it with -o"),
+    (["run.npy", "car.dbc", "-o", "-", "--max-age", "1s"], BAD_CALL, "--resample 10ms"),
+    (["run.npy", "car.dbc", "-o", "-", "--resample", "x"], BAD_CALL, "cannot read the time 'x'"),
     (["run.npy", "car.dbc", "-o", "-", "--json"], BAD_CALL, "--json is for the summary"),
     (["run.npy", "car.dbc", "-o", "there.csv"], BAD_CALL, "--force replaces it"),
-    (["run.npy", "car.dbc", "-o", "car.dbc"], BAD_CALL, "out"),
+    (["run.npy", "db.csv", "-o", "db.csv", "--force"], BAD_CALL, "are one file"),
     (["run.bin", "car.dbc"], BAD_CALL, "give -p"),
     (["run.npy", "broken.dbc"], BAD_DATA, "broken.dbc: line 2"),
     (["run.npy", "run.npy"], BAD_CALL, "no file of frames"),
@@ -250,12 +313,13 @@ WRONG = [
 
 @pytest.mark.parametrize(("arguments", "code", "words"), WRONG, ids=lambda each: str(each)[:40])
 def test_errors_are_one_line(
-    folder: Path, tmp_path: Path, arguments: list[str], code: int, words: str
+    folder: Path, tmp_path: Path, arguments: list[str], code: int, words: str, run: Run
 ) -> None:
     for each in folder.iterdir():
         (tmp_path / each.name).symlink_to(each)
     (tmp_path / "there.csv").write_text("old")
-    (tmp_path / "broken.dbc").write_text("BO_ 1 A: 8 X\n SG_ S : 0|8@1+ (1,0 [0|0]\n")
+    (tmp_path / "broken.dbc").write_text('VERSION ""\nBO_ A: 8 X\n')
+    (tmp_path / "db.csv").write_text(DBC)
     before = names(tmp_path)
     assert_fails(run(tmp_path, "signals", *arguments), code, words)
     assert names(tmp_path) == before
@@ -298,7 +362,7 @@ DUMP = """(1631416514.000000) can0 123#401F0103
 """
 
 
-def test_dump_has_the_signals_of_each_frame_under_it(folder: Path) -> None:
+def test_dump_has_the_signals_of_each_frame_under_it(folder: Path, run: Run) -> None:
     done = run(folder, "dump", "run.npy", "--db", "car.dbc")
     assert (done.returncode, done.stderr) == (GOOD, b"")
     assert done.stdout.decode() == DUMP
@@ -311,7 +375,7 @@ def test_dump_with_signals_is_a_log_of_candump(folder: Path, tmp_path: Path) -> 
     assert np.array_equal(canser.read(tmp_path / "run.log"), frames)
 
 
-def test_dump_shows_chosen_signals_and_all_frames(folder: Path) -> None:
+def test_dump_shows_chosen_signals_and_all_frames(folder: Path, run: Run) -> None:
     more = ("--signal", "Gear", "--signal", "Left", "--filter", "123", "--filter", "7FF", "-t", "z")
     done = run(folder, "dump", "run.npy", "--db", "car.dbc", *more)
     assert done.stdout.decode().splitlines() == [
@@ -373,6 +437,6 @@ def test_texts_of_a_terminal_have_no_control_codes() -> None:
 
 
 def signal_info(**fields: Any) -> SignalInfo:
-    plain = {field.name: None for field in dataclasses.fields(SignalInfo)}
+    plain: dict[str, Any] = {field.name: None for field in dataclasses.fields(SignalInfo)}
     plain |= {"name": "S", "bit_count": 16, "scale": 1, "offset": 0, "unit": "", "is_float": False}
-    return SignalInfo(**(plain | fields))
+    return SignalInfo(**plain | fields)

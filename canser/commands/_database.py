@@ -16,8 +16,8 @@ MATCHES: Final = ("auto", "id", "pgn")
 
 _SUFFIXES: Final = (".dbc", ".kcd", ".arxml", ".sym")
 
-# Messages and signals that cannot be decoded, which are named.
-_NAMED_MOST: Final = 5
+# Remarks on a database that are printed.
+_REMARKS_MOST: Final = 10
 
 
 class _Append(argparse.Action):
@@ -92,8 +92,9 @@ def is_database(path: str) -> bool:
 
 def open_database(args: argparse.Namespace, paths: Sequence[str] | None = None) -> Database:
     """Open the databases that the arguments name, or these; CallError without cantools."""
+    remarks: list[str] = []
     try:
-        with warnings_as_lines(write_line):
+        with warnings_as_lines(remarks.append):
             database = Database(
                 *(args.databases if paths is None else paths),
                 match=args.match,
@@ -103,11 +104,14 @@ def open_database(args: argparse.Namespace, paths: Sequence[str] | None = None) 
         raise CallError(str(error)) from None
     except LookupError as error:
         raise CallError(f"--encoding: {error}") from None
-    left_out = list(database.left_out.items())
-    for name, reason in left_out[:_NAMED_MOST]:
-        write_line(f"{name} is left out: {reason}")
-    if len(left_out) > _NAMED_MOST:
-        write_line(f"and {len(left_out) - _NAMED_MOST:,} more are left out")
+    told = "\n".join(remarks)
+    for name, reason in database.left_out.items():
+        if f"{name} is left out, as {reason}" not in told:
+            remarks.append(f"{name} is left out: {reason}")
+    for remark in remarks[:_REMARKS_MOST]:
+        write_line(remark)
+    if len(remarks) > _REMARKS_MOST:
+        write_line(f"and {len(remarks) - _REMARKS_MOST:,} more remarks on the database")
     return database
 
 

@@ -2,7 +2,10 @@
 
 import argparse
 import json
+from collections.abc import Iterator
+from typing import BinaryIO
 
+from canser._frames import FrameArray, concat, copy_records
 from canser._output import check_apart
 from canser._progress import Progress
 from canser.commands._database import (
@@ -11,6 +14,7 @@ from canser.commands._database import (
     make_decoder,
     open_database,
 )
+from canser.commands._numbers import duration
 from canser.commands._parser import GOOD, CallError, Commands, add_command, show, write_line
 from canser.commands._source import (
     check_found,
@@ -22,11 +26,10 @@ from canser.commands._source import (
 )
 from canser.commands._summary import Summary
 from canser.files.packed import packed_file, without_packing
-from canser.signals.csv import SampleWriter
+from canser.signals.csv import SampleWriter, write_grid
+from canser.signals.decoder import SignalDecoder
 
 __all__ = ["add"]
-
-CSV, PARQUET = "csv", "parquet"
 
 
 def add(commands: Commands) -> None:
@@ -37,6 +40,7 @@ def add(commands: Commands) -> None:
         "  canser signals run.log car.dbc\n"
         "  canser signals run.bin -p serial car.dbc --signal RPM --signal 'Wheel*'\n"
         "  canser signals run.log car.dbc -o run.csv\n"
+        "  canser signals run.log car.dbc -o run.csv --resample 10ms --max-age 1s\n"
         "  canser signals run.log car.dbc --signal RPM -o - | head\n"
         "  canser signals monday.log tuesday.log car.dbc b.dbc --json",
         run=run,
@@ -64,6 +68,28 @@ def add(commands: Commands) -> None:
         help="print the summary as one JSON object, with the attributes of canser.DecodeReport in "
         "its report (default: text)",
     )
+    group = parser.add_argument_group("one time base")
+    group.add_argument(
+        "--resample",
+        metavar="STEP",
+        type=duration,
+        help="write one row for each multiple of STEP, such as 10ms, with a column for each "
+        "signal; all frames must fit into memory (default: a row for each sample)",
+    )
+    group.add_argument(
+        "--how",
+        choices=("previous", "linear"),
+        default="previous",
+        help="a value is that of the last sample before its time, or on the line to the next one "
+        "(default: previous)",
+    )
+    group.add_argument(
+        "--max-age",
+        metavar="TIME",
+        type=duration,
+        help="leave out values whose last sample is older, or with linear the gap between two "
+        "samples longer (default: no limit)",
+    )
     database_arguments(parser, instead_of=database)
     selection_arguments(parser)
 
@@ -83,22 +109,24 @@ def _sort_files(args: argparse.Namespace) -> list[str]:
     return databases
 
 
-def _format(args: argparse.Namespace) -> str | None:
-    """Return the format of OUT; None: none is wanted."""
+def _check_output(args: argparse.Namespace) -> None:
+    """Raise CallError if the options do not fit to OUT."""
+    if args.resample is None and (args.how != "previous" or args.max_age is not None):
+        raise CallError("--how and --max-age need a step; give it with --resample 10ms")
     if args.output is None:
-        return None
-    if args.json:
+        if args.resample is not None:
+            raise CallError("--resample needs a file to write; name it with -o")
+    elif args.json:
         raise CallError("--json is for the summary; leave it or -o out")
-    if args.output == "-" or without_packing(args.output).lower().endswith(".csv"):
-        return CSV
-    raise CallError(f"the name of {args.output} tells no format; write .csv")
+    elif args.output != "-" and not without_packing(args.output).lower().endswith(".csv"):
+        raise CallError(f"the name of {args.output} tells no format; write .csv")
 
 
 def run(args: argparse.Namespace) -> int:
     databases = _sort_files(args)
-    to = _format(args)
+    _check_output(args)
     chosen = selection(args)
-    if to:
+    if args.output is not None:
         check_apart(args.output, *args.sources, *databases)
     database = open_database(args, databases)
     decoder = make_decoder(database, args)
@@ -107,24 +135,39 @@ def run(args: argparse.Namespace) -> int:
         open_source(args, progress) as source,
     ):
         blocks = (frames for frames, _, _ in chosen.apply(source.tagged()))
-        if to is None:
+        if args.output is None:
             summary = Summary(database, decoder)
             for frames in blocks:
                 summary.add(frames)
         else:
             with packed_file(args.output, force=args.force) as file:
-                writer = SampleWriter(file, decoder)
-                for frames in blocks:
-                    writer.write(frames)
+                written = _write(args, file, decoder, blocks)
                 check_found(source, as_is=args.as_is)
-    report = decoder.report
-    if to is None:
+    if args.output is None:
         show([json.dumps(summary.as_dict())] if args.json else summary.lines())
     else:
-        inputs = ", ".join(args.sources)
-        write_line(f"{inputs} -> {args.output}: {writer.count:,} samples")
-        for line in str(report).splitlines():
+        write_line(f"{', '.join(args.sources)} -> {args.output}: {written}")
+        for line in str(decoder.report).splitlines():
             write_line(line)
     write_remarks(source)
     check_found(source, as_is=args.as_is)
     return GOOD
+
+
+def _write(
+    args: argparse.Namespace, file: BinaryIO, decoder: SignalDecoder, blocks: Iterator[FrameArray]
+) -> str:
+    """Write the signals of frames; return what was written."""
+    if args.resample is None:
+        writer = SampleWriter(file, decoder)
+        for frames in blocks:
+            writer.write(frames)
+        return f"{writer.count:,} samples"
+    whole = concat([copy_records(frames) for frames in blocks])
+    grid = decoder.feed(whole).resample(
+        round(1e9 * args.resample),
+        how=args.how,
+        max_age=None if args.max_age is None else round(1e9 * args.max_age),
+    )
+    write_grid(file, grid)
+    return f"{len(grid):,} signals at {len(grid.ts):,} times"

@@ -1,4 +1,4 @@
-"""Signals as comma-separated values: a row for each sample.
+"""Signals as comma-separated values: a row for each sample, or one for each time of a grid.
 
     ts,message,signal,value,unit,text
     1631416514.717133,EngineData,RPM,2000.0,rpm,
@@ -6,9 +6,17 @@
 
 ts in seconds, nan if it is not known; exact, with six decimal places, or nine if the time has
 nanoseconds. Values are the shortest numbers that are read back as the same ones.
+
+    ts,EngineData.RPM,EngineData.Gear
+    1631416514.710000,,
+    1631416514.720000,2000.0,first
+
+On a grid, a signal with texts has its text, or its number where that has none; and nothing where it
+has no value.
 """
 
 import csv
+import dataclasses
 import io
 from collections.abc import Callable, Sequence
 from typing import Any, BinaryIO, Final
@@ -19,14 +27,14 @@ import numpy.typing as npt
 from canser._core.text import TextWriter
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser.signals.decoder import SignalDecoder
-from canser.signals.samples import numbered_samples
-from canser.signals.signals import Signal
+from canser.signals.samples import numbered_samples, sample_texts
+from canser.signals.signals import Resampled, Signal
 
-__all__ = ["COLUMNS", "SampleWriter"]
+__all__ = ["COLUMNS", "SampleWriter", "write_grid"]
 
 COLUMNS: Final = ("ts", "message", "signal", "value", "unit", "text")
 
-# Frames whose rows are made at a time: 10 MB, if each has some signals.
+# Frames, or times of a grid, whose rows are made at a time: 10 MB, if each has some signals.
 _FRAMES_AT_ONCE: Final = 1 << 15
 
 # Rows of a signal that are kept, for values that come again.
@@ -88,6 +96,31 @@ def fields(values: Sequence[str]) -> bytes:
     row = io.StringIO()
     csv.writer(row, lineterminator="").writerow(values)
     return row.getvalue().encode() if values != [""] else b""
+
+
+def write_grid(file: BinaryIO, grid: Resampled) -> None:
+    """Write signals on one time base under a header, a row for each time."""
+    times = _Times()
+    file.write(fields(["ts", *grid]) + b"\n")
+    for at in range(0, len(grid.ts), _FRAMES_AT_ONCE):
+        part = slice(at, at + _FRAMES_AT_ONCE)
+        stamps = times.texts(grid.ts[part].view(np.int64))
+        cells = np.empty((len(stamps), 2 * len(grid) + 2), object)
+        cells[:, 0], cells[:, 1::2], cells[:, -1] = stamps, b",", b"\n"
+        for place, signal in enumerate(grid.values(), 1):
+            cells[:, 2 * place] = _cells(signal, part)
+        file.write(b"".join(cells.ravel().tolist()))
+
+
+def _cells(signal: Signal, part: slice) -> npt.NDArray[np.object_]:
+    """Return some values of a signal as fields."""
+    raw = None if signal.raw is None else signal.raw[part]
+    shown = dataclasses.replace(signal, values=signal.values[part], raw=raw)
+    texts = {number: fields([text]) for number, text in (signal.choices or {}).items()}
+    found = sample_texts(shown, lambda value, raw: texts.get(raw) or repr(value).encode())
+    if signal.valid is not None:
+        found[~signal.valid[part]] = b""
+    return found
 
 
 class _Times:
