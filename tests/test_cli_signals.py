@@ -21,6 +21,7 @@ from canser.commands import cli
 from canser.commands._signal_lines import SignalLines
 from canser.signals.csv import SampleWriter
 from canser.signals.messages import SignalInfo
+from canser.signals.parquet import ParquetWriter
 from canser.signals.texts import number_text, value_text
 
 pytest.importorskip("cantools")
@@ -256,6 +257,64 @@ def test_a_row_for_each_time_of_a_grid(
     done = run(tmp_path, "signals", *files, "--force", "--resample", "10ms", "--how", "linear")
     rows = rows_of((tmp_path / "out.csv").read_bytes())
     assert [row[1] for row in rows[:4]] == ["EngineData.RPM", "2000.0", "2024.0", "2048.0"]
+
+
+def test_parquet_has_a_row_for_each_sample(folder: Path, tmp_path: Path, run: Run) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    files = str(folder / "run.npy"), str(folder / "car.dbc"), "-o", str(tmp_path / "out.parquet")
+    done = run(tmp_path, "signals", *files)
+    assert done.stderr.decode().splitlines()[0].endswith("out.parquet: 14 samples")
+    table = parquet.read_table(tmp_path / "out.parquet")
+    assert table.column_names == ["ts", "signal", "value", "text"]
+    rows = table.to_pylist()
+    assert [row["signal"] for row in rows] == [f"{row[1]}.{row[2]}" for row in ROWS]
+    assert [repr(row["value"]) for row in rows] == [repr(float(row[3])) for row in ROWS]
+    assert [row["text"] or "" for row in rows] == [row[5] for row in ROWS]
+    assert table["ts"].cast("int64").to_pylist() == [ns(row[0]) for row in ROWS]
+    assert table.schema.field("value").metadata[b"canser.unit.EngineData.Temp"] == b"C, oil"
+
+
+def test_parquet_of_a_grid(folder: Path, tmp_path: Path, run: Run) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    files = str(folder / "run.npy"), str(folder / "car.dbc"), "-o", str(tmp_path / "out.parquet")
+    run(tmp_path, "signals", *files, "--signal", "RPM", "--signal", "Page", "--resample", "50ms")
+    rows = parquet.read_table(tmp_path / "out.parquet").to_pylist()
+    found = [(row["EngineData.RPM"], row["Pages.Page"]) for row in rows]
+    assert found == [(2000.0, None), (2072.0, 1), (2072.0, 0)]
+
+
+def test_blocks_of_parquet_have_one_schema(folder: Path, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    frames = canser.read(folder / "run.npy")
+    decoder = canser.Database(folder / "car.dbc").decoder("*")
+    with (tmp_path / "out.parquet").open("wb") as file:
+        writer = ParquetWriter(file, decoder, "out.parquet")
+        writer.write(frames[:4])
+        unknown = frames[4:9].copy()
+        unknown["ts"] = canser.NO_TIME
+        writer.write(unknown)
+        writer.write(frames[9:])
+        writer.finish()
+    table = parquet.read_table(tmp_path / "out.parquet")
+    assert table["ts"].null_count == 4
+    assert [repr(row) for row in table["value"].to_pylist()] == [repr(float(r[3])) for r in ROWS]
+    with (tmp_path / "empty.parquet").open("wb") as file:
+        ParquetWriter(file, decoder, "empty.parquet").finish()
+    assert parquet.read_table(tmp_path / "empty.parquet").num_rows == 0
+
+
+@pytest.mark.parametrize("name", ["out.csv", "out.parquet"])
+@pytest.mark.parametrize("more", [(), ("--resample", "10ms")], ids=str)
+def test_a_file_without_samples(
+    folder: Path, tmp_path: Path, run: Run, name: str, more: tuple[str, ...]
+) -> None:
+    if name.endswith("parquet"):
+        pytest.importorskip("pyarrow")
+    files = str(folder / "run.npy"), str(folder / "car.dbc"), "-o", str(tmp_path / name)
+    done = run(tmp_path, "signals", *files, *more, "--signal", "Level", "--filter", "7FF")
+    assert done.returncode == GOOD, done.stderr
+    done = run(tmp_path, "signals", *files, *more, "--filter", "001", "--force")
+    assert done.returncode == GOOD, done.stderr
 
 
 def test_files_and_databases_in_any_order(folder: Path, run: Run) -> None:

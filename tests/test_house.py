@@ -44,7 +44,7 @@ WHERE_USED = {
     "cantools": {"canser.signals.dbc"},
     "backports": {"canser.files.packed"},
     "compression": {"canser.files.packed"},  # Python's own from 3.14 on
-    "pyarrow": {"canser.files.columns", "canser.files.parquet"},
+    "pyarrow": {"canser.files.columns", "canser.files.parquet", "canser.signals.parquet"},
     "isal": {"canser.files.blf", "canser.files.packed"},
     "rich": {"canser._progress", "canser.monitoring._table", "canser.monitoring.monitor"},
     "shtab": {"canser.commands.cli"},

@@ -11,7 +11,7 @@ from canser._frames import FrameArray
 from canser.signals.database import Database
 from canser.signals.decoder import SignalDecoder
 from canser.signals.samples import numbered_samples
-from canser.signals.signals import Signal
+from canser.signals.signal import Signal
 from canser.signals.texts import value_text
 
 __all__ = ["SignalLines", "terminal_columns"]

@@ -11,7 +11,8 @@ from canser.files.tags import printable
 from canser.signals.database import Database
 from canser.signals.decoder import SignalDecoder
 from canser.signals.messages import SignalInfo
-from canser.signals.signals import Signal, Signals
+from canser.signals.signal import Signal
+from canser.signals.signals import Signals
 from canser.signals.texts import choice_text, number_text
 
 __all__ = ["Summary"]

@@ -26,8 +26,10 @@ from canser.commands._source import (
 )
 from canser.commands._summary import Summary
 from canser.files.packed import packed_file, without_packing
-from canser.signals.csv import SampleWriter, write_grid
+from canser.signals import csv, parquet
+from canser.signals.csv import SampleWriter
 from canser.signals.decoder import SignalDecoder
+from canser.signals.parquet import ParquetWriter
 
 __all__ = ["add"]
 
@@ -40,7 +42,7 @@ def add(commands: Commands) -> None:
         "  canser signals run.log car.dbc\n"
         "  canser signals run.bin -p serial car.dbc --signal RPM --signal 'Wheel*'\n"
         "  canser signals run.log car.dbc -o run.csv\n"
-        "  canser signals run.log car.dbc -o run.csv --resample 10ms --max-age 1s\n"
+        "  canser signals run.log car.dbc -o run.parquet --resample 10ms --max-age 1s\n"
         "  canser signals run.log car.dbc --signal RPM -o - | head\n"
         "  canser signals monday.log tuesday.log car.dbc b.dbc --json",
         run=run,
@@ -56,8 +58,9 @@ def add(commands: Commands) -> None:
         "-o",
         dest="output",
         metavar="OUT",
-        help="file to write, a row for each sample in the order of the frames, by its suffix: "
-        ".csv, also packed as .csv.gz, or - for CSV on standard output (default: print a summary)",
+        help="file to write, a row for each sample in the order of time, by its suffix: .csv, "
+        "also packed as .csv.gz, or .parquet; - is CSV on standard output (default: print a "
+        "summary)",
     )
     parser.add_argument(
         "--force", action="store_true", help="replace OUT if it exists (default: refuse)"
@@ -118,8 +121,16 @@ def _check_output(args: argparse.Namespace) -> None:
             raise CallError("--resample needs a file to write; name it with -o")
     elif args.json:
         raise CallError("--json is for the summary; leave it or -o out")
-    elif args.output != "-" and not without_packing(args.output).lower().endswith(".csv"):
-        raise CallError(f"the name of {args.output} tells no format; write .csv")
+    elif not (args.output == "-" or _is_parquet(args) or _is_csv(args)):
+        raise CallError(f"the name of {args.output} tells no format; write .csv or .parquet")
+
+
+def _is_csv(args: argparse.Namespace) -> bool:
+    return bool(without_packing(args.output).lower().endswith(".csv"))
+
+
+def _is_parquet(args: argparse.Namespace) -> bool:
+    return bool(args.output.lower().endswith(".parquet"))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -129,6 +140,8 @@ def run(args: argparse.Namespace) -> int:
     if args.output is not None:
         check_apart(args.output, *args.sources, *databases)
     database = open_database(args, databases)
+    if args.output is not None and _is_parquet(args) and not (args.signals or args.resample):
+        args.signals = ["*"]  # so that all blocks have the same ones
     decoder = make_decoder(database, args)
     with (
         Progress(f"reading {args.sources[0]}") as progress,
@@ -158,10 +171,14 @@ def _write(
     args: argparse.Namespace, file: BinaryIO, decoder: SignalDecoder, blocks: Iterator[FrameArray]
 ) -> str:
     """Write the signals of frames; return what was written."""
+    is_parquet = _is_parquet(args)
     if args.resample is None:
-        writer = SampleWriter(file, decoder)
+        writer = (
+            ParquetWriter(file, decoder, args.output) if is_parquet else SampleWriter(file, decoder)
+        )
         for frames in blocks:
             writer.write(frames)
+        writer.finish()
         return f"{writer.count:,} samples"
     whole = concat([copy_records(frames) for frames in blocks])
     grid = decoder.feed(whole).resample(
@@ -169,5 +186,8 @@ def _write(
         how=args.how,
         max_age=None if args.max_age is None else round(1e9 * args.max_age),
     )
-    write_grid(file, grid)
+    if is_parquet:
+        parquet.write_grid(file, grid, args.output)
+    else:
+        csv.write_grid(file, grid)
     return f"{len(grid):,} signals at {len(grid.ts):,} times"

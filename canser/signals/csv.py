@@ -28,7 +28,8 @@ from canser._core.text import TextWriter
 from canser._frames import FRAME_DTYPE, FrameArray
 from canser.signals.decoder import SignalDecoder
 from canser.signals.samples import numbered_samples, sample_texts
-from canser.signals.signals import Resampled, Signal
+from canser.signals.signal import Signal
+from canser.signals.signals import Resampled
 
 __all__ = ["COLUMNS", "SampleWriter", "write_grid"]
 
@@ -63,6 +64,9 @@ class SampleWriter:
             cells[1::2] = samples.texts(self._tail_of)
             self._file.write(b"".join(cells.tolist()))
             self.count += samples.total
+
+    def finish(self) -> None:
+        """End the file: nothing is left to write."""
 
     def _tail_of(self, signal: Signal) -> Callable[[Any, Any], bytes]:
         """Return the function that makes the row of a sample behind its time."""

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from canser._frames import FrameArray, copy_records
 from canser.signals.decoder import SignalDecoder
-from canser.signals.signals import Signal
+from canser.signals.signal import Signal
 
 __all__ = ["Samples", "numbered_samples", "sample_texts"]
 
