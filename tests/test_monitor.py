@@ -575,6 +575,14 @@ BO_ 512 %s: 8 ECU
  SG_ Page M : 0|8@1+ (1,0) [0|0] "" ECU
  SG_ Left m0 : 8|8@1+ (1,0) [0|0] "" ECU
  SG_ Right m1 : 8|8@1+ (0.1,0) [0|0] "A" ECU
+BO_ 513 Another%s: 8 ECU
+ SG_ A : 0|8@1+ (1,0) [0|0] "" ECU
+ SG_ B : 8|8@1+ (1,0) [0|0] "" ECU
+ SG_ C : 16|8@1+ (1,0) [0|0] "" ECU
+ SG_ D : 24|8@1+ (1,0) [0|0] "" ECU
+ SG_ E : 32|8@1+ (1,0) [0|0] "" ECU
+ SG_ F : 40|8@1+ (1,0) [0|0] "" ECU
+ SG_ G : 48|8@1+ (1,0) [0|0] "" ECU
 VAL_ 291 Gear 0 "neutral" 1 "first" ;
 """
 LONG_NAME = "A_message_with_the_longest_name_"
@@ -583,7 +591,7 @@ LONG_NAME = "A_message_with_the_longest_name_"
 @pytest.fixture
 def database(tmp_path: Path) -> canser.Database:
     pytest.importorskip("cantools")
-    (tmp_path / "car.dbc").write_text(DBC % LONG_NAME)
+    (tmp_path / "car.dbc").write_text(DBC % (LONG_NAME, LONG_NAME))
     return canser.Database(tmp_path / "car.dbc")
 
 
@@ -621,21 +629,32 @@ def test_more_columns_hold_more_signals(database: canser.Database) -> None:
     show(test, signals=RowSignals(database, database.decoder()), size=LARGE)
 
 
+def test_signals_are_below_a_long_name_if_that_takes_fewer_lines(
+    database: canser.Database,
+) -> None:
+    async def test(screen: Screen) -> None:
+        await screen.send(frames(0x201, bytes(range(8))))
+        lines = [f"Another{LONG_NAME}", "A 0 B 1 C 2 D 3 E 4 F 5 G 6"]
+        await screen.until(lambda: words(screen.lines()) == lines)
+
+    show(test, signals=RowSignals(database, database.decoder()))
+
+
 def test_signals_of_pages_stay_when_they_were_seen(database: canser.Database) -> None:
     async def test(screen: Screen) -> None:
         async def until(*lines: str) -> None:
             await screen.until(lambda: words(screen.lines()) == list(lines))
 
         await screen.send(frames(0x200, b"\0\x07"))
-        await until(LONG_NAME, "Page 0 Left 7")
+        await until(f"{LONG_NAME} Page 0 Left 7")
         await screen.send(frames(0x200, b"\1\x0f"))
-        await until(LONG_NAME, "Page 1 Left 7 Right 1.5 A")
-        row = screen.table.render_line(2)
-        looks = {segment.text.strip(): segment.style for segment in row}
+        await until(f"{LONG_NAME} Page 1 Left 7", "Right 1.5 A")
+        rows = [*screen.table.render_line(1), *screen.table.render_line(2)]
+        looks = {segment.text.strip(): segment.style for segment in rows}
         assert looks["7"] != looks["1.5 A"] == looks["1"]
         await screen.pilot.press("c")
         await screen.send(frames(0x200, b"\1\x0f"))
-        await until(LONG_NAME, "Page 1 Right 1.5 A")
+        await until(f"{LONG_NAME} Page 1 Right 1.5 A")
 
     show(test, signals=RowSignals(database, database.decoder()))
 
@@ -645,7 +664,7 @@ def test_signals_are_sorted_and_filtered_with_their_ids(database: canser.Databas
         await screen.send(
             frames(0x123, b"\0\0\1"), frames(0x200, b"\0\7"), frames(0x300, b"a", b"a")
         )
-        firsts = ["123", "EngineData", "Temperature", "200", LONG_NAME, "Page", "300"]
+        firsts = ["123", "EngineData", "Temperature", "200", LONG_NAME, "300"]
         await screen.until(lambda: screen.ids() == firsts)
         await screen.pilot.press("n")
         await screen.until(lambda: screen.ids() == [firsts[-1], *firsts[:-1]])
@@ -689,8 +708,8 @@ def test_only_rows_on_the_screen_are_decoded(database: canser.Database) -> None:
         await screen.until(lambda: "Gear neutral" in words(screen.lines())[0])
         assert all(each[0] == 0x123 and len(each) <= height for each in decoded)
         screen.table.scroll_end(animate=False)
-        await screen.until(lambda: words(screen.lines())[-1:] == ["Page 0 Left 0"])
-        assert screen.lines()[-3].split()[0] == "200"
+        await screen.until(lambda: words(screen.lines())[-1:] == [f"{LONG_NAME} Page 0 Left 0"])
+        assert screen.lines()[-2].split()[0] == "200"
         # From a line of signals on.
         screen.table.scroll_to(y=1, animate=False)
         await screen.until(lambda: screen.ids()[:2] == ["EngineData", "300"])

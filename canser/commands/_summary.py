@@ -21,6 +21,8 @@ _HEAD: Final = ("signal", "unit", "samples", "first", "min", "max", "last")
 
 # The columns of numbers, which are aligned at the right.
 _RIGHT: Final = _HEAD[2:]
+# The longest text of a value in a table.
+_TEXT_MOST: Final = 16
 
 
 class _Range:
@@ -57,7 +59,7 @@ class _Range:
             value, raw = self.picked.get(name, (None, None))
             text = choice_text(self.info.choices, raw)
             number = "-" if value is None else number_text(value, self.info)
-            texts.append(number if text is None else printable(text))
+            texts.append(number if text is None else _cut(printable(text)))
         unit = printable(self.info.unit) if self.info.unit else ""
         return [f"{self.message}.{self.name}", unit, f"{self.count:,}", *texts]
 
@@ -71,6 +73,10 @@ class _Range:
             plain[name] = value if value is None or np.isfinite(value) else None
             plain[f"{name}_text"] = choice_text(self.info.choices, raw)
         return plain
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _TEXT_MOST else f"{text[: _TEXT_MOST - 3]}..."
 
 
 class Summary:

@@ -20,10 +20,7 @@ INDENT: Final = 11
 
 # Widths in characters: between two signals, and of values until a longer one comes.
 _GAP: Final = 3
-_VALUE_LEAST: Final = 8
-
-# Where less is left beside the name of a message, the signals begin below it.
-_ROOM_LEAST: Final = 40
+_VALUE_LEAST: Final = 6
 
 
 class Cell(NamedTuple):
@@ -35,15 +32,25 @@ class Cell(NamedTuple):
     is_new: bool
 
 
+class _Layout(NamedTuple):
+    """Where signals begin, the lines above them, and how many a line has, of which width."""
+
+    begin: int
+    above: int
+    in_line: int
+    width: int
+
+
 class _Row:
     """The signals of a row."""
 
     def __init__(self, message: Message, infos: Sequence[SignalInfo]) -> None:
-        self.message, self.infos = message, infos
+        self.message, self._infos = message, infos
+        self._names = [message.name.lower(), *(info.name.lower() for info in infos)]
         self._values: dict[str, str] = {}
         self._new: set[str] = set()
-        self._value_width = _VALUE_LEAST
-        self._names = [message.name.lower(), *(info.name.lower() for info in infos)]
+        # The widest signal so far: so the others stay where they are when a value gets shorter.
+        self._width = max((len(info.name) for info in infos), default=0) + _VALUE_LEAST
 
     def has(self, text: str) -> bool:
         """Return whether the name of the message or of a signal has a text in it."""
@@ -53,30 +60,33 @@ class _Row:
         """Set the values that the last frame has."""
         self._values |= values
         self._new = set(values)
-        self._value_width = max([self._value_width, *map(len, values.values())])
+        for name, value in values.items():
+            self._width = max(self._width, len(name) + 1 + len(value))
 
     def cells(self) -> list[Cell]:
         """Return the signals; those of pages only after they have come."""
         return [
             Cell(info.name, self._values.get(info.name, "-"), info.name in self._new)
-            for info in self.infos
+            for info in self._infos
             if not info.pages or info.name in self._values
         ]
 
-    def layout(self, width: int) -> tuple[int, int, int, int]:
-        """Return where signals begin, the lines above, the signals of a line, and their width."""
-        begin, above = INDENT + len(self.message.name) + _GAP, 0
-        if width - begin < _ROOM_LEAST:
-            begin, above = INDENT + 2, 1
-        names = [len(info.name) for info in self.infos]
-        cell = max(names, default=0) + 1 + self._value_width + _GAP
-        return begin, above, max((width - begin + _GAP) // cell, 1), cell
+    def _count(self) -> int:
+        return sum(not info.pages or info.name in self._values for info in self._infos)
 
-    def line_count(self, width: int) -> int:
+    def layout(self, room: int) -> _Layout:
+        """Return the layout of the fewest lines in this width: beside the message, or below it."""
+        count, width = self._count(), self._width + _GAP
+        layouts = []
+        for begin, above in ((INDENT + len(self.message.name) + _GAP, 0), (INDENT + 2, 1)):
+            in_line = max((room - begin + _GAP) // width, 1)
+            layouts.append((above + -(-count // in_line), _Layout(begin, above, in_line, width)))
+        return min(layouts, key=lambda each: each[0])[1]
+
+    def line_count(self, room: int) -> int:
         """Return the number of lines."""
-        _, above, in_line, _ = self.layout(width)
-        count = sum(not info.pages or info.name in self._values for info in self.infos)
-        return above + -(-count // in_line)
+        layout = self.layout(room)
+        return layout.above + -(-self._count() // layout.in_line)
 
 
 class Line(NamedTuple):
@@ -188,11 +198,10 @@ def _numbered(rows: RowArray) -> npt.NDArray[np.void]:
     return frames
 
 
-def _lines(row: _Row, width: int) -> Iterator[Line]:
-    begin, above, in_line, cell = row.layout(width)
-    cells = row.cells()
-    if above and cells:
-        yield Line(row.message.name, begin, cell, [])
-    for at in range(0, len(cells), in_line):
-        title = row.message.name if at == 0 and not above else ""
-        yield Line(title, begin, cell, cells[at : at + in_line])
+def _lines(row: _Row, room: int) -> Iterator[Line]:
+    layout, cells, name = row.layout(room), row.cells(), row.message.name
+    if layout.above:
+        yield Line(name, layout.begin, layout.width, [])
+    for at in range(0, len(cells), layout.in_line):
+        title = name if at == 0 and not layout.above else ""
+        yield Line(title, layout.begin, layout.width, cells[at : at + layout.in_line])
