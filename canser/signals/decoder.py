@@ -54,7 +54,9 @@ class SignalDecoder:
     def report(self) -> DecodeReport:
         """What was decoded of all batches, and what was not, and why."""
         with self._lock:
-            return make_report(self._layout.messages, self._tables, self._frame_count)
+            return make_report(
+                self._layout.messages, self._layout.roots, self._tables, self._frame_count
+            )
 
     def why_absent(self, name: str) -> str:
         """Return why a signal has no samples.

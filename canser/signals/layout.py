@@ -9,7 +9,6 @@ import numpy.typing as npt
 from canser._core.signals import (
     CASE_DTYPE,
     KNOWN_ID_DTYPE,
-    MESSAGE_DTYPE,
     MUX_DEPTH,
     MUX_DTYPE,
     NO_TABLE,
@@ -57,7 +56,8 @@ class Layout:
         self._cases: list[tuple[int, int, int, int]] = []
         self._links: list[int] = []
         self._tables: list[npt.NDArray[np.uint16]] = []
-        self._roots = [self._add_message(message) for message in messages]
+        #: The number of the first page of each message.
+        self.roots = [self._add_message(message) for message in messages]
         #: Records of all signals that are decoded, of SIGNAL_DTYPE.
         self.records = np.array(self._records, SIGNAL_DTYPE)
         self._arrays = self._make_arrays()
@@ -72,15 +72,13 @@ class Layout:
         names = ("first_mux", "mux_count", "full_dlc")
         for name, values in zip(names, np.array(self._page_records).T, strict=bool(self.pages)):
             pages[name] = values
-        messages = np.zeros(len(self.messages), MESSAGE_DTYPE)
-        messages["page"] = self._roots
         ids = [
-            (0, message.id, number, message.ext, 1) for number, message in enumerate(self.messages)
+            (message.id | message.ext << 31, root + 1, 0)
+            for message, root in zip(self.messages, self.roots, strict=True)
         ]
         return {
             "ids": np.array(ids, KNOWN_ID_DTYPE),
             "pgns": self._pgns(),
-            "messages": messages,
             "pages": pages,
             "muxes": np.array(self._muxes, MUX_DTYPE),
             "cases": np.array(self._cases, CASE_DTYPE),
@@ -103,7 +101,7 @@ class Layout:
             general = [each for each in numbers if self.messages[each].is_of_any_sender]
             chosen = general if len(numbers) > 1 else numbers
             if len(chosen) == 1:
-                found.append((pgn, chosen[0]))
+                found.append((pgn, self.roots[chosen[0]]))
         return np.array(found, PGN_DTYPE)
 
     def _add_message(self, message: Message) -> int:
@@ -133,7 +131,11 @@ class Layout:
                 plans.setdefault(plan.least_dlc, []).append(plan)
         self.pages.append(Page(name, message, dict(sorted(plans.items()))))
         self._page_records.append((0, 0, 0))
-        muxes = [each for each in signals if each.is_multiplexer and below.get(each.name)]
+        muxes = [
+            each
+            for each in signals
+            if each.is_multiplexer and (below.get(each.name) or each.choices)
+        ]
         if muxes and not depth:
             raise ValueError(
                 f"message {message.name}: multiplexers lie more than {MUX_DEPTH} deep, or select "
@@ -155,7 +157,7 @@ class Layout:
     ) -> tuple[Any, ...]:
         """Add the pages of a multiplexer, and return its record."""
         parts: dict[tuple[int, ...], list[SignalInfo]] = {}
-        for signal in below[mux.name]:
+        for signal in below.get(mux.name, ()):
             parts.setdefault(signal.pages, []).append(signal)
         by_value: dict[int, list[int]] = {}
         for values, signals in parts.items():
@@ -163,13 +165,16 @@ class Layout:
             number = self._add_page(message, label, signals, below, depth)
             for value in values:
                 by_value.setdefault(value, []).append(number)
+        # A value with a text is known, though it selects nothing.
+        for value in mux.choices or ():
+            by_value.setdefault(value % 2**64, [])
         first = len(self._cases)
         cases = list(_cases(by_value))
         for low, high, numbers in cases:
             self._cases.append((low, high, len(self._links), len(numbers)))
             self._links += numbers
         table = NO_TABLE
-        if mux.bit_count <= 8 and len(cases) < 2**16:
+        if mux.bit_count <= 8 and not mux.is_signed and len(cases) < 2**16:
             table = _TABLE_LEN * len(self._tables)
             by_number = np.zeros(_TABLE_LEN, np.uint16)
             for case, (low, high, _) in enumerate(cases):
@@ -183,14 +188,14 @@ def _cases(by_value: Mapping[int, list[int]]) -> Iterator[tuple[int, int, list[i
     low = high = -1
     pages: list[int] = []
     for value in sorted(by_value):
-        if pages and value == high + 1 and by_value[value] == pages:
+        if low >= 0 and value == high + 1 and by_value[value] == pages:
             high = value
             continue
-        if pages:
+        if low >= 0:
             yield low, high, pages
         low = high = value
         pages = by_value[value]
-    if pages:
+    if low >= 0:
         yield low, high, pages
 
 
