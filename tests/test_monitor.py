@@ -698,7 +698,7 @@ def test_only_rows_on_the_screen_are_decoded(database: canser.Database) -> None:
             return decoder.feed(batch)
 
     async def test(screen: Screen) -> None:
-        ids = [0x123, *range(0x300, 0x340), 0x200]
+        ids = [0x123, *range(0x130, 0x170), 0x200]
         await screen.send(*(frames(each, b"\0\0\1") for each in ids))
         await screen.until(lambda: len(screen.lines()) == screen.table.size.height)
         height = screen.table.size.height
@@ -712,7 +712,7 @@ def test_only_rows_on_the_screen_are_decoded(database: canser.Database) -> None:
         assert screen.lines()[-2].split()[0] == "200"
         # From a line of signals on.
         screen.table.scroll_to(y=1, animate=False)
-        await screen.until(lambda: screen.ids()[:2] == ["EngineData", "300"])
+        await screen.until(lambda: screen.ids()[:3] == ["EngineData", "Temperature", "130"])
 
     show(test, signals=RowSignals(database, cast(Any, Watched())))
 
