@@ -303,6 +303,51 @@ def test_blocks_of_parquet_have_one_schema(folder: Path, tmp_path: Path) -> None
     assert parquet.read_table(tmp_path / "empty.parquet").num_rows == 0
 
 
+@pytest.mark.filterwarnings("ignore")  # asammdf's own
+def test_mf4_has_a_group_for_each_group(folder: Path, tmp_path: Path, run: Run) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    out = tmp_path / "out.mf4"
+    files = str(folder / "run.npy"), str(folder / "car.dbc"), "-o", str(out)
+    done = run(tmp_path, "signals", *files)
+    assert done.stderr.decode().splitlines()[0].endswith("out.mf4: 14 samples")
+    signals = canser.Database(folder / "car.dbc").decode(canser.read(folder / "run.npy"))
+    start_ns = min(int(signal.ts.view(np.int64).min()) for signal in signals.values())
+    with asammdf.MDF(out) as mdf:
+        assert mdf.header.abs_time == start_ns
+        for signal in signals.values():
+            found = mdf.get(signal.full_name, raw=True)
+            wanted = signal.values if signal.raw is None else signal.raw
+            assert doubles(*found.samples.tolist()) == doubles(*wanted.tolist())
+            assert found.unit == signal.unit
+            times = (signal.ts.view(np.int64) - start_ns) / 1e9
+            assert np.allclose(found.timestamps, times, rtol=0, atol=1e-9)
+        texts = {each.full_name: each.choices for each in signals.values() if each.choices}
+        for name, choices in texts.items():
+            raw = mdf.get(name, raw=True).samples.tolist()
+            shown = mdf.get(name).samples.tolist()
+            assert [each.decode() for each in shown if each] == [
+                choices[each] for each in raw if each in choices
+            ]
+        assert texts
+    grid = tmp_path / "grid.mf4"
+    run(tmp_path, "signals", *files[:2], "-o", str(grid), "--resample", "50ms")
+    with asammdf.MDF(grid) as mdf:
+        rows = signals.resample("50ms")
+        found = mdf.get("EngineData.RPM")
+        assert found.samples.tolist() == rows["RPM"].values[rows["RPM"].valid].tolist()
+
+
+def test_mf4_refuses_samples_without_a_time(folder: Path, tmp_path: Path, run: Run) -> None:
+    pytest.importorskip("asammdf")
+    frames = canser.read(folder / "run.npy")
+    frames["ts"] = canser.NO_TIME
+    np.save(tmp_path / "untimed.npy", frames)
+    files = str(tmp_path / "untimed.npy"), str(folder / "car.dbc")
+    done = run(tmp_path, "signals", *files, "-o", str(tmp_path / "out.mf4"))
+    assert_fails(done, BAD_DATA, "samples have no time, which MF4 cannot hold; write .csv")
+    assert not (tmp_path / "out.mf4").exists()
+
+
 @pytest.mark.parametrize("name", ["out.csv", "out.parquet"])
 @pytest.mark.parametrize("more", [(), ("--resample", "10ms")], ids=str)
 def test_a_file_without_samples(

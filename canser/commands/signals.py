@@ -26,7 +26,7 @@ from canser.commands._source import (
 )
 from canser.commands._summary import Summary
 from canser.files.packed import packed_file, without_packing
-from canser.signals import csv, parquet
+from canser.signals import csv, mf4, parquet
 from canser.signals.csv import SampleWriter
 from canser.signals.decoder import SignalDecoder
 from canser.signals.parquet import ParquetWriter
@@ -59,8 +59,8 @@ def add(commands: Commands) -> None:
         dest="output",
         metavar="OUT",
         help="file to write, a row for each sample in the order of time, by its suffix: .csv, "
-        "also packed as .csv.gz, or .parquet; - is CSV on standard output (default: print a "
-        "summary)",
+        "also packed as .csv.gz, .parquet, or .mf4, a group for each message, which needs all "
+        "frames in memory; - is CSV on standard output (default: print a summary)",
     )
     parser.add_argument(
         "--force", action="store_true", help="replace OUT if it exists (default: refuse)"
@@ -121,8 +121,8 @@ def _check_output(args: argparse.Namespace) -> None:
             raise CallError("--resample needs a file to write; name it with -o")
     elif args.json:
         raise CallError("--json is for the summary; leave it or -o out")
-    elif not (args.output == "-" or _is_parquet(args) or _is_csv(args)):
-        raise CallError(f"the name of {args.output} tells no format; write .csv or .parquet")
+    elif not (args.output == "-" or _is_parquet(args) or _is_mf4(args) or _is_csv(args)):
+        raise CallError(f"the name of {args.output} tells no format; write .csv, .parquet or .mf4")
 
 
 def _is_csv(args: argparse.Namespace) -> bool:
@@ -131,6 +131,10 @@ def _is_csv(args: argparse.Namespace) -> bool:
 
 def _is_parquet(args: argparse.Namespace) -> bool:
     return bool(args.output.lower().endswith(".parquet"))
+
+
+def _is_mf4(args: argparse.Namespace) -> bool:
+    return bool(args.output.lower().endswith(".mf4"))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -172,7 +176,7 @@ def _write(
 ) -> str:
     """Write the signals of frames; return what was written."""
     is_parquet = _is_parquet(args)
-    if args.resample is None:
+    if args.resample is None and not _is_mf4(args):
         writer = (
             ParquetWriter(file, decoder, args.output) if is_parquet else SampleWriter(file, decoder)
         )
@@ -181,13 +185,19 @@ def _write(
         writer.finish()
         return f"{writer.count:,} samples"
     whole = concat([copy_records(frames) for frames in blocks])
-    grid = decoder.feed(whole).resample(
+    found = decoder.feed(whole)
+    if args.resample is None:
+        mf4.write(file, found.groups.values(), args.output)
+        return f"{sum(map(len, found.values())):,} samples"
+    grid = found.resample(
         round(1e9 * args.resample),
         how=args.how,
         max_age=None if args.max_age is None else round(1e9 * args.max_age),
     )
     if is_parquet:
         parquet.write_grid(file, grid, args.output)
+    elif _is_mf4(args):
+        mf4.write(file, [grid], args.output)
     else:
         csv.write_grid(file, grid)
     return f"{len(grid):,} signals at {len(grid.ts):,} times"

@@ -78,10 +78,10 @@ _COMMENT: Final = "written by canser: BusChannel counts from 1, and is 0 if it i
 _SECOND_NS: Final = 1_000_000_000
 
 # Flags of the header: its time is local time; its time is UTC, beside the offset of local time.
-_LOCAL_TIME, _OFFSET_VALID = 1, 2
+_LOCAL_TIME, OFFSET_VALID = 1, 2
 
 # Deflated after transposition: the smallest files, and the fastest ones to write.
-_COMPRESSION: Final = 2
+COMPRESSION: Final = 2
 
 _DATA_LEN: Final = 8
 _EXT_BIT: Final = 1 << 31
@@ -213,7 +213,7 @@ class Writer:
         times = np.where(known, frames["ts"], self._start_ns or 0)
         kinds = np.where(frames["err"], 1, np.where(frames["rtr"], 2, 0))
         self._see_order(times, kinds)
-        seconds = _seconds(times, self._start_ns or 0)
+        seconds = seconds_from(times, self._start_ns or 0)
         if channels is None:
             channels = np.full(len(frames), NO_CHANNEL, np.uint8)
         if directions is None:
@@ -247,10 +247,10 @@ class Writer:
         if self._mdf is None:
             self._open()
         header = self._mdf.header
-        header.abs_time, header.time_flags = self._start_ns or 0, _OFFSET_VALID
+        header.abs_time, header.time_flags = self._start_ns or 0, OFFSET_VALID
         header.tz_offset = header.daylight_save_time = 0
-        with self._mdf, _target(self._file) as made:
-            self._mdf.save(made, compression=_COMPRESSION)
+        with self._mdf, seekable_target(self._file) as made:
+            self._mdf.save(made, compression=COMPRESSION)
         remarks = {
             "frames without a time, written as the start": self._unknown,
             "frames with a time before that of others, which readers put in order": self._early,
@@ -265,7 +265,7 @@ class Writer:
 
 
 @contextlib.contextmanager
-def _target(file: BinaryIO) -> Iterator[BinaryIO]:
+def seekable_target(file: BinaryIO) -> Iterator[BinaryIO]:
     """Give a file that asammdf can write from its first byte on: this one, or a temporary one."""
     if file.seekable() and not file.tell() and isinstance(getattr(file, "name", ""), str):
         yield file
@@ -278,7 +278,7 @@ def _target(file: BinaryIO) -> Iterator[BinaryIO]:
         give(made, file)
 
 
-def _seconds(times: Numbers, start_ns: int) -> npt.NDArray[np.float64]:
+def seconds_from(times: Numbers, start_ns: int) -> npt.NDArray[np.float64]:
     """Return times as seconds from a start: whole seconds apart, as they are exact."""
     whole = times // _SECOND_NS - start_ns // _SECOND_NS
     rest = times % _SECOND_NS - start_ns % _SECOND_NS
