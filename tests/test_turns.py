@@ -17,7 +17,7 @@ from canser.live import ports
 from canser.recording.header import RecordingInfo
 from canser.recording.writer import RecordingWriter
 from canser.timing.loop import TimedDecoder
-from long import LONG
+from long import LONG, longer
 from readers import collect, plugged
 
 US, MS, S = 1_000, 1_000_000, 1_000_000_000
@@ -151,6 +151,7 @@ def test_the_first_times_are_false(unit: str, count: int) -> None:
         assert off(host, truth)[count:].max() <= TICK[unit] / MS + 1
 
 
+@longer
 @pytest.mark.parametrize("unit", ["s", "ms", "us"])
 def test_noise_for_long(unit: str) -> None:
     truth = steady(7200 if LONG else 1800, 20)
