@@ -79,11 +79,12 @@ def off(times: Times, truth: Times) -> npt.NDArray[np.float64]:
     return milliseconds
 
 
+@longer
 @pytest.mark.parametrize("false_count", [4, 40])
 def test_false_times_in_a_row_put_nothing_a_turn_off(false_count: int) -> None:
     # Behind a clock in line, and in other streams 2 before there is one.
     rng = np.random.default_rng(1)
-    for seed in range(400):
+    for seed in range(400 if LONG else 100):
         truth = steady(4, 50, seed)
         ticks = counters(truth, "us", EPOCH - int(rng.integers(0, 10 * HOUR)))
         at, count = (100, false_count) if seed % 2 else (int(rng.integers(1, 15)), 2)
@@ -134,11 +135,12 @@ def test_a_restart_of_the_device(unit: str) -> None:
     assert off(host, truth).max() <= 2 * TICK[unit] / MS + 1
 
 
+@longer
 @pytest.mark.parametrize("count", [1, 2, 15])
 @pytest.mark.parametrize("unit", ["ms", "us"])
 def test_the_first_times_are_false(unit: str, count: int) -> None:
     rng = np.random.default_rng(4)
-    for seed in range(50):
+    for seed in range(50 if LONG else 15):
         truth = steady(5, 50, seed)
         ticks = counters(truth, unit, EPOCH - 10 * MINUTE)
         wire = ticks.copy()
