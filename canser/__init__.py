@@ -84,6 +84,15 @@ if TYPE_CHECKING:
     from canser.live.ring import Gap as Gap
     from canser.live.run import record as record
     from canser.recording.header import RecordingInfo as RecordingInfo
+    from canser.signals.database import Database as Database
+    from canser.signals.decoder import SignalDecoder as SignalDecoder
+    from canser.signals.messages import Message as Message
+    from canser.signals.messages import SignalInfo as SignalInfo
+    from canser.signals.report import DecodeReport as DecodeReport
+    from canser.signals.signals import Group as Group
+    from canser.signals.signals import Resampled as Resampled
+    from canser.signals.signals import Signal as Signal
+    from canser.signals.signals import Signals as Signals
     from canser.simulation.faults import Faults as Faults
     from canser.simulation.simulator import Simulator as Simulator
     from canser.simulation.simulator import SimulatorReport as SimulatorReport
@@ -216,6 +225,19 @@ _HOMES: Final = {
     "canser.live.ring": ("Gap",),
     "canser.live.run": ("record",),
     "canser.recording.header": ("RecordingInfo",),
+    "canser.signals.database": ("Database",),
+    "canser.signals.decoder": ("SignalDecoder",),
+    "canser.signals.messages": (
+        "Message",
+        "SignalInfo",
+    ),
+    "canser.signals.report": ("DecodeReport",),
+    "canser.signals.signals": (
+        "Group",
+        "Resampled",
+        "Signal",
+        "Signals",
+    ),
     "canser.simulation.faults": ("Faults",),
     "canser.simulation.simulator": (
         "Simulator",

@@ -4,10 +4,15 @@ import re
 from fractions import Fraction
 from typing import Final
 
-__all__ = ["LONGEST_S", "is_duration", "parse_bytes", "parse_seconds"]
+__all__ = ["LONGEST_S", "is_duration", "parse_bytes", "parse_ns", "parse_seconds"]
 
-_DURATION: Final = re.compile(r"(?P<number>[0-9]+(?:\.[0-9]+)?)(?: *(?P<unit>ms|s|min|m|h|d))?")
-_SECONDS: Final = {"ms": 0.001, "s": 1, "min": 60, "m": 60, "h": 3600, "d": 86400, None: 1}
+_DURATION: Final = re.compile(
+    r"(?P<number>[0-9]+(?:\.[0-9]+)?)(?: *(?P<unit>ns|us|ms|s|min|m|h|d))?"
+)
+_SECONDS: Final = {
+    "ns": 1e-9, "us": 1e-6, "ms": 0.001, "s": 1,
+    "min": 60, "m": 60, "h": 3600, "d": 86400, None: 1,
+}  # fmt: skip
 
 # The longest time in days. Its nanoseconds fit into 64 bits.
 _DAYS_MOST: Final = 100_000
@@ -34,6 +39,20 @@ def parse_seconds(text: str) -> float:
     if seconds > LONGEST_S:
         raise ValueError(f"the time {text} is too long; give {_DAYS_MOST}d or less")
     return seconds
+
+
+def parse_ns(text: str) -> int:
+    """Return the nanoseconds of a time such as 100us, 10ms or 1s, exactly; or raise ValueError."""
+    found = _DURATION.fullmatch(text)
+    if found is None:
+        raise ValueError(f"cannot read the time {text!r}; write 100us, 10ms, 1s")
+    unit_ns = round(_SECONDS[found["unit"]] * 1_000_000_000)
+    ns = Fraction(found["number"]) * unit_ns
+    if ns.denominator != 1:
+        raise ValueError(f"the time {text} is no whole number of nanoseconds; give fewer digits")
+    if ns > LONGEST_S * 1_000_000_000:
+        raise ValueError(f"the time {text} is too long; give {_DAYS_MOST}d or less")
+    return int(ns)
 
 
 def parse_bytes(text: str) -> int:

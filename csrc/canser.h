@@ -981,6 +981,204 @@ int canser_order_rows(const uint32_t *row_of, const int64_t *steps, size_t frame
                       int64_t *next, const int64_t *ends, size_t row_count, int64_t *out,
                       size_t out_cap);
 
+/* ---- For signals: the numbers that a database finds in the data of frames. */
+
+/* Samples that are kept for a group before its signals are decoded. */
+#define CANSER_SIGNAL_BLOCK 256
+
+/* How deep multiplexers may lie behind multiplexers: C goes down by calls. */
+#define CANSER_MUX_DEPTH 32
+
+/* No message, no table; no page, and pages that a route has no room for. */
+#define CANSER_NO_MESSAGE 0xffffffff
+#define CANSER_NO_TABLE   0xffffffff
+#define CANSER_NO_ROUTE   0xffff
+#define CANSER_FAR_ROUTE  0xfffe
+
+/* Where a number lies in the 8 bytes of data, which are one number of 64 bits. */
+typedef struct {
+    uint8_t is_big;    /* 1: the first byte is the highest one; 0: it is the lowest one */
+    uint8_t shift;     /* bits below the number */
+    uint8_t bit_count; /* 1 to 64 */
+    uint8_t is_signed; /* 1: two's complement */
+} canser_field;
+
+/* What the bits of a signal are, and the type of its column. Whole numbers become
+ * raw * scale + offset, modulo 2^64, which is a whole number again. All others become
+ * raw * factor + addend, in float64, with two roundings; or the raw number itself. */
+enum {
+    CANSER_SIGNAL_WHOLE,   /* bits: a whole number; column: int64 or uint64 */
+    CANSER_SIGNAL_SCALED,  /* bits: a whole number; column: float64 */
+    CANSER_SIGNAL_FLOAT16, /* bits: IEEE 754, of 16, 32 or 64 bits; column: float64 */
+    CANSER_SIGNAL_FLOAT32,
+    CANSER_SIGNAL_FLOAT64
+};
+
+typedef struct {
+    double factor;
+    double addend;
+    int64_t scale;
+    int64_t offset;
+    void *values; /* the column: as many elements of 8 bytes as its group has room for */
+    canser_field field;
+    uint8_t kind;
+    uint8_t is_raw; /* 1: the raw number itself */
+} canser_signal;
+
+/* The data of a frame, as it lies in memory, and its time. */
+typedef struct {
+    uint64_t data;
+    int64_t ts;
+} canser_payload;
+
+/* Signals that are in the same frames. */
+typedef struct {
+    int64_t *ts; /* the column of times */
+    size_t cap;
+    size_t count;
+    canser_payload *block; /* private: CANSER_SIGNAL_BLOCK elements */
+    uint32_t pending;      /* private: samples in the block, and when it is to be decoded */
+    uint32_t limit;
+    uint32_t first_signal;
+    uint32_t signal_count;
+    uint32_t least_dlc; /* shorter frames do not have these signals */
+    uint32_t has_big;   /* 1: a signal is big-endian */
+} canser_group;
+
+/* What is there together: what a message always has, or what a value of a multiplexer selects. */
+typedef struct {
+    uint64_t dlcs[9]; /* frames by their dlc, counted */
+    uint32_t first_group;
+    uint32_t group_count; /* groups by their least_dlc, the smallest first */
+    uint32_t first_mux;
+    uint32_t mux_count;
+    uint32_t full_dlc; /* shorter frames do not have all of it */
+} canser_page;
+
+/* A multiplexer: a number whose value selects pages. */
+typedef struct {
+    canser_field field;
+    uint32_t least_dlc; /* shorter frames do not have it */
+    uint32_t first_case;
+    uint32_t case_count; /* ranges that do not meet, the lowest first */
+    uint32_t table;      /* where a table of 256 elements begins, the case of each value and one
+                          * more, 0 for none; or CANSER_NO_TABLE */
+} canser_mux;
+
+/* Values of a multiplexer, from low to high, and the pages that they select. */
+typedef struct {
+    uint64_t low;
+    uint64_t high;
+    uint32_t first_link; /* links are numbers of pages */
+    uint32_t link_count;
+} canser_case;
+
+typedef struct {
+    uint64_t short_count;   /* frames without all that they should have */
+    uint64_t unknown_count; /* frames with a value of a multiplexer that no case has */
+    uint32_t page;          /* what it always has */
+} canser_message;
+
+/* An id that was seen, or that a message has; in an open hash. A free one has the flag 0. */
+typedef struct {
+    uint64_t count; /* frames */
+    uint32_t id;
+    uint32_t message; /* its number, or CANSER_NO_MESSAGE */
+    uint32_t ext;
+    uint32_t is_used;
+} canser_known_id;
+
+/* A parameter group of J1939, and the message of its frames: priority and source do not count, and
+ * the destination does not where it is part of the id. */
+typedef struct {
+    uint32_t pgn;
+    uint32_t message;
+} canser_pgn;
+
+/* A database, in the caller's memory, with all that is counted. The caller sets the arrays, and
+ * and numbers in them that are in range; it zeroes what is counted. */
+typedef struct {
+    canser_known_id *ids;
+    size_t id_cap; /* a power of two, at least twice the ids of the database */
+    size_t id_count;
+    size_t id_most; /* further ids are not kept: their frames are decoded, but not told apart */
+    const canser_pgn *pgns; /* the smallest first */
+    size_t pgn_count;
+    canser_message *messages;
+    canser_page *pages;
+    const canser_mux *muxes;
+    const canser_case *cases;
+    const uint32_t *links;
+    const uint16_t *tables;
+    canser_group *groups;
+    size_t group_count;
+    const canser_signal *signals;
+    uint64_t remote_count; /* remote frames, which have no data */
+    uint64_t error_count;
+    uint64_t other_count; /* frames without a message whose id is not kept */
+} canser_database;
+
+/* Count the frames of each id, message and page: so the caller learns what room each group needs.
+ * routes[i] tells canser_database_decode() where frames[i] belongs.
+ *
+ * Stops before a frame with a new id if half of the places for ids are used: then `*used` is less
+ * than `frame_count`, and the caller goes on after canser_database_move_ids(). Returns CANSER_OK;
+ * CANSER_NULL, CANSER_MISALIGNED, or CANSER_RANGE for an unfit id_cap, before anything was done. */
+int canser_database_count(canser_database *self, const canser_frame *frames, size_t frame_count,
+                          uint16_t *routes, size_t *used);
+
+/* Decode the frames into the columns of their groups, behind what is there, by the routes that
+ * canser_database_count() has set for them. It counts nothing else.
+ * Returns CANSER_OK; CANSER_NULL, CANSER_MISALIGNED or CANSER_RANGE as above; CANSER_RANGE also
+ * when a group has no room: then the columns are incomplete. */
+int canser_database_decode(canser_database *self, const canser_frame *frames, size_t frame_count,
+                           const uint16_t *routes);
+
+/* Move the ids to a table of zeros with `id_cap` places, a power of two. The table before may be
+ * just a row of ids, of any number. Returns CANSER_OK, CANSER_NULL or CANSER_RANGE. */
+int canser_database_move_ids(canser_database *self, canser_known_id *ids, size_t id_cap);
+
+/* ---- For signals: their values at other times than their own. */
+
+/* The samples of a signal. */
+typedef struct {
+    const int64_t *ts;  /* rising; of samples of equal times the last one counts */
+    const void *values; /* 8 bytes each; need not be aligned */
+    size_t count;
+} canser_samples;
+
+/* The times for which values are asked. */
+typedef struct {
+    const int64_t *times; /* rising, and equal times are allowed; NULL: first + i * step */
+    int64_t first;
+    int64_t step; /* 1 or more, if `times` is NULL */
+    size_t count;
+} canser_grid;
+
+/* Copy the value of the last sample at or before each time of a grid to `out`, 8 bytes each.
+ * valid[i] is 1 if there is such a sample, and it is at most `max_age` nanoseconds old; otherwise
+ * it is 0, and `missing` is copied.
+ *
+ * `out` and `valid` share no byte with each other and with the samples. If the times of the samples
+ * or of the grid do not rise, some samples are passed over, and nothing else happens.
+ *
+ * Returns CANSER_OK; before anything was written CANSER_NULL, CANSER_MISALIGNED, or CANSER_RANGE
+ * for a step of less than 1, or times of the grid above INT64_MAX. Arrays may be NULL if their
+ * count is 0. */
+int canser_resample_previous(const canser_samples *samples, const canser_grid *grid,
+                             uint64_t max_age, uint64_t missing, void *out, uint8_t *valid);
+
+/* The same, but all values are double, and lie on the line from the last sample at or before a
+ * time to the first one behind it. At the time of a sample it is the sample's own value. Between
+ * two samples there is no value if they are more than `max_age` nanoseconds apart; and none in
+ * front of the first sample, and behind the last one. */
+int canser_resample_linear(const canser_samples *samples, const canser_grid *grid, uint64_t max_age,
+                           uint64_t missing, void *out, uint8_t *valid);
+
+/* Set `*rise` to 1 if no time is before the one in front of it, else to 0. Returns CANSER_OK,
+ * CANSER_NULL or CANSER_MISALIGNED. */
+int canser_times_rise(const int64_t *ts, size_t count, uint8_t *rise);
+
 /* ---- For tables of other programs: frames and other records as columns of Arrow. */
 
 /* How the values of a column are copied. */

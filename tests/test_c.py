@@ -26,7 +26,7 @@ SHARED = [HERE / "c" / "plain.c", HERE / "c" / "drive.c"]
 
 COMPILER = shlex.split(os.environ.get("CC") or "cc")
 
-FAST = ["-O2"]
+FAST = ["-O2", "-ffp-contract=off"]
 DEBUG = ["-g", "-O1"]
 SANITIZED = [*DEBUG, "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
@@ -160,6 +160,15 @@ def test_objects_of_blf_sanitized(tmp_path: Path, debug_flags: list[str]) -> Non
     assert_all_pass(run(build_test(tmp_path, "blf", debug_flags)))
 
 
+def test_signals(tmp_path: Path) -> None:
+    assert_all_pass(run(build_test(tmp_path, "signals", FAST), "2000" if LONG else "200"))
+
+
+@takes_long
+def test_signals_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    assert_all_pass(run(build_test(tmp_path, "signals", debug_flags)))
+
+
 def test_frames_by_their_ids(tmp_path: Path) -> None:
     assert_all_pass(run(build_test(tmp_path, "ids", FAST), "2000" if LONG else "200"))
 
@@ -176,6 +185,15 @@ def test_lengths_on_the_bus(tmp_path: Path) -> None:
 @takes_long
 def test_lengths_on_the_bus_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
     assert_all_pass(run(build_test(tmp_path, "bits", debug_flags)))
+
+
+def test_signals_at_other_times(tmp_path: Path) -> None:
+    assert_all_pass(run(build_test(tmp_path, "resample", FAST), "100000" if LONG else "10000"))
+
+
+@takes_long
+def test_signals_at_other_times_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    assert_all_pass(run(build_test(tmp_path, "resample", debug_flags)))
 
 
 def test_captures(tmp_path: Path) -> None:

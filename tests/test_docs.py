@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 import sys
 import warnings
 from pathlib import Path
@@ -23,7 +24,7 @@ PAGES = {
 
 
 # Packages of which the examples of a page are left out where they are not installed.
-PACKAGES = ("duckdb", "matplotlib", "pandas", "polars", "pyarrow", "xarray")
+PACKAGES = ("cantools", "duckdb", "matplotlib", "pandas", "polars", "pyarrow", "xarray")
 
 
 def blocks(page: str, language: str) -> list[str]:
@@ -38,6 +39,7 @@ def test_the_python_of_a_page_runs(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    shutil.copy(DOCS.parent / "examples" / "car.dbc", ".")
     Path("run.bin").write_bytes(canser.encode(vehicle(2), "serial"))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what these formats cannot hold

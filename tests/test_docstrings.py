@@ -7,6 +7,7 @@ import inspect
 import itertools
 import logging
 import re
+import shutil
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -150,6 +151,10 @@ def test_a_class_says_what_makes_it_and_what_its_fields_are(name: str) -> None:
             assert listed(sections(text), Kind.parameters) == parameters(init)
 
 
+# The database that examples of signals open.
+CAR_DBC = Path(__file__).parents[1] / "examples" / "car.dbc"
+
+
 def has_example(text: str) -> bool:
     return any(example.source for example in doctest.DocTestParser().get_examples(text))
 
@@ -173,6 +178,7 @@ def test_examples_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         if name.endswith(package):
             pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
+    shutil.copy(CAR_DBC, tmp_path)
     flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     test = doctest.DocTestParser().get_doctest(text, {"np": np, "canser": canser}, name, name, 0)
     report: list[str] = []

@@ -41,6 +41,7 @@ def room(module: str) -> str:
 # Packages that are imported where they are used, in a function, by these modules only.
 WHERE_USED = {
     "asammdf": {"canser.files.mf4"},
+    "cantools": {"canser.signals.dbc"},
     "backports": {"canser.files.packed"},
     "compression": {"canser.files.packed"},  # Python's own from 3.14 on
     "pyarrow": {"canser.files.columns", "canser.files.parquet"},

@@ -1,0 +1,499 @@
+/* Signals: the numbers that a database finds in the data of frames.
+ *
+ * One pass over the frames. Each frame's data and time go to the groups of its message, and of the
+ * pages that its multiplexers select. When a group has a block of them, each of its signals is
+ * decoded in a loop of its own, in which nothing depends on the frame. */
+#include "protocol.h"
+
+#define SPREAD UINT32_C(0x9E3779B1) /* 2^32 divided by the golden ratio */
+
+#define BLOCK CANSER_SIGNAL_BLOCK
+
+CANSER_INLINE uint64_t swapped_word(uint64_t word)
+{
+    word = (word & UINT64_C(0x00ff00ff00ff00ff)) << 8 | (word >> 8 & UINT64_C(0x00ff00ff00ff00ff));
+    word =
+        (word & UINT64_C(0x0000ffff0000ffff)) << 16 | (word >> 16 & UINT64_C(0x0000ffff0000ffff));
+    return word << 32 | word >> 32;
+}
+
+/* Eight bytes, as they lie in memory, as a number whose lowest byte is the first one; the last one
+ * if `is_big`. */
+CANSER_INLINE uint64_t number_of(uint64_t word, bool is_big)
+{
+    return is_big != CANSER_BIG_ENDIAN ? swapped_word(word) : word;
+}
+
+/* ---- Numbers out of a block of data. */
+
+CANSER_INLINE uint64_t unsigned_of(const canser_field *field, uint64_t number)
+{
+    return number >> field->shift & UINT64_MAX >> (64 - field->bit_count);
+}
+
+CANSER_INLINE int64_t signed_of(const canser_field *field, uint64_t number)
+{
+    return (int64_t)(number << (64 - field->shift - field->bit_count)) >> (64 - field->bit_count);
+}
+
+CANSER_INLINE uint64_t value_of(const canser_field *field, uint64_t word)
+{
+    const uint64_t number = number_of(word, field->is_big);
+
+    return field->is_signed ? (uint64_t)signed_of(field, number) : unsigned_of(field, number);
+}
+
+/* Numbers of up to 31 bits, with which processors have faster ways to float64 and to 64 bits. */
+CANSER_INLINE int32_t short_unsigned(uint64_t number, unsigned shift, unsigned rest)
+{
+    return (int32_t)((uint32_t)(number >> shift) & UINT32_MAX >> rest);
+}
+
+CANSER_INLINE int32_t short_signed(uint64_t number, unsigned shift, unsigned rest)
+{
+    return (int32_t)((uint32_t)(number >> shift) << rest) >> rest;
+}
+
+/* A half-precision number is its fraction times a power of two. */
+static double of_float16(uint32_t bits)
+{
+    const uint32_t exponent = bits >> 10 & 31;
+    const uint32_t fraction = bits & 0x3ff;
+    uint64_t wide = (uint64_t)(bits >> 15) << 63 | (uint64_t)fraction << 42;
+    double value;
+
+    if (exponent == 0) {
+        value = (double)fraction * 0x1p-24;
+        return bits >> 15 ? -value : value;
+    }
+    wide |= (uint64_t)(exponent == 31 ? 0x7ff : exponent + 1008) << 52;
+    memcpy(&value, &wide, sizeof value);
+    return value;
+}
+
+CANSER_INLINE double of_float32(uint32_t bits)
+{
+    float value;
+
+    memcpy(&value, &bits, sizeof value);
+    return (double)value;
+}
+
+CANSER_INLINE double of_float64(uint64_t bits)
+{
+    double value;
+
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+/* Fill a column: `number` is that of the block's element i. */
+#define FILL(type, value)                                                                          \
+    do {                                                                                           \
+        type *const restrict out = (type *)signal->values + at;                                    \
+                                                                                                   \
+        for (size_t i = 0; i < count; i++) {                                                       \
+            const uint64_t number = numbers[i];                                                    \
+                                                                                                   \
+            out[i] = (value);                                                                      \
+        }                                                                                          \
+    } while (0)
+
+static void fill_whole(const canser_signal *signal, const uint64_t *restrict numbers, size_t count,
+                       size_t at)
+{
+    const canser_field field = signal->field;
+    const unsigned shift = field.shift;
+    const unsigned rest = 32U - field.bit_count;
+    const uint64_t scale = (uint64_t)signal->scale;
+    const uint64_t offset = (uint64_t)signal->offset;
+    const bool is_plain = signal->is_raw || (scale == 1 && offset == 0);
+
+    if (field.bit_count > 31) {
+        const uint64_t factor = is_plain ? 1 : scale;
+        const uint64_t addend = is_plain ? 0 : offset;
+
+        if (field.is_signed)
+            FILL(uint64_t, (uint64_t)signed_of(&field, number) * factor + addend);
+        else
+            FILL(uint64_t, unsigned_of(&field, number) * factor + addend);
+    } else if (is_plain) {
+        if (field.is_signed)
+            FILL(int64_t, short_signed(number, shift, rest));
+        else
+            FILL(int64_t, short_unsigned(number, shift, rest));
+    } else if (field.is_signed) {
+        FILL(uint64_t, (uint64_t)short_signed(number, shift, rest) * scale + offset);
+    } else {
+        FILL(uint64_t, (uint64_t)short_unsigned(number, shift, rest) * scale + offset);
+    }
+}
+
+static void fill_scaled(const canser_signal *signal, const uint64_t *restrict numbers, size_t count,
+                        size_t at)
+{
+    const canser_field field = signal->field;
+    const unsigned shift = field.shift;
+    const unsigned rest = 32U - field.bit_count;
+    const double factor = signal->factor;
+    const double addend = signal->addend;
+
+    if (field.bit_count > 31) {
+        if (field.is_signed)
+            FILL(double, (double)signed_of(&field, number) * factor + addend);
+        else if (field.bit_count < 64) /* which needs fewer instructions */
+            FILL(double, (double)(int64_t)unsigned_of(&field, number) * factor + addend);
+        else
+            FILL(double, (double)number *factor + addend);
+    } else if (field.is_signed) {
+        FILL(double, (double)short_signed(number, shift, rest) * factor + addend);
+    } else {
+        FILL(double, (double)short_unsigned(number, shift, rest) * factor + addend);
+    }
+}
+
+static void fill_float(const canser_signal *signal, const uint64_t *restrict numbers, size_t count,
+                       size_t at)
+{
+    const canser_field field = signal->field;
+    const unsigned shift = field.shift;
+    double *const restrict values = (double *)signal->values + at;
+
+    if (signal->kind == CANSER_SIGNAL_FLOAT64)
+        FILL(double, of_float64(number));
+    else if (signal->kind == CANSER_SIGNAL_FLOAT32)
+        FILL(double, of_float32((uint32_t)(number >> shift)));
+    else
+        FILL(double, of_float16((uint32_t)(number >> shift) & 0xffff));
+    if (!signal->is_raw && (signal->factor != 1 || signal->addend != 0))
+        for (size_t i = 0; i < count; i++)
+            values[i] = values[i] * signal->factor + signal->addend;
+}
+
+/* Decode what is in the block of a group. Returns false if the group has no room for more. */
+CANSER_NOINLINE bool decode_block(const canser_database *self, canser_group *group)
+{
+    uint64_t numbers[2][BLOCK];
+    const size_t count = group->pending;
+    const canser_payload *const block = group->block;
+    int64_t *const ts = group->ts + group->count;
+
+    for (size_t i = 0; i < count; i++) {
+        numbers[0][i] = number_of(block[i].data, false);
+        ts[i] = block[i].ts;
+    }
+    if (group->has_big)
+        for (size_t i = 0; i < count; i++)
+            numbers[1][i] = number_of(block[i].data, true);
+    for (size_t i = 0; i < group->signal_count; i++) {
+        const canser_signal *const signal = &self->signals[group->first_signal + i];
+        const uint64_t *const of_signal = numbers[signal->field.is_big != 0];
+
+        if (signal->kind == CANSER_SIGNAL_SCALED)
+            fill_scaled(signal, of_signal, count, group->count);
+        else if (signal->kind == CANSER_SIGNAL_WHOLE)
+            fill_whole(signal, of_signal, count, group->count);
+        else
+            fill_float(signal, of_signal, count, group->count);
+    }
+    group->count += count;
+    group->pending = 0;
+    group->limit =
+        (uint32_t)(group->cap - group->count < BLOCK ? group->cap - group->count : BLOCK);
+    return group->limit > 0;
+}
+
+/* Keep a frame for a group. Returns false if the group has no room. */
+CANSER_INLINE bool keep(const canser_database *self, canser_group *group, const canser_frame *frame)
+{
+    canser_payload *sample;
+
+    if (group->pending == group->limit && !decode_block(self, group))
+        return false;
+    sample = &group->block[group->pending++];
+    sample->data = load_word(frame->data);
+    sample->ts = frame->ts;
+    return true;
+}
+
+/* ---- The message of a frame. */
+
+/* Return the place of an id in a table: its own, or a free one. */
+CANSER_INLINE canser_known_id *find_id(canser_known_id *ids, size_t last, uint32_t id, uint32_t ext)
+{
+    size_t at = (size_t)((uint64_t)((id ^ ext << 31) * SPREAD) * (last + 1) >> 32);
+
+    while (ids[at].is_used && (ids[at].id != id || ids[at].ext != ext))
+        at = (at + 1) & last;
+    return &ids[at];
+}
+
+/* Return the message of the parameter group of an extended id, or CANSER_NO_MESSAGE. */
+static uint32_t find_pgn(const canser_database *self, uint32_t id)
+{
+    uint32_t pgn = id >> 8 & 0x3ffff;
+    size_t low = 0;
+    size_t high = self->pgn_count;
+
+    if ((pgn >> 8 & 0xff) < 240)
+        pgn &= 0x3ff00;
+    while (low < high) {
+        const size_t middle = low + (high - low) / 2;
+
+        if (self->pgns[middle].pgn < pgn)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low < self->pgn_count && self->pgns[low].pgn == pgn ? self->pgns[low].message
+                                                               : CANSER_NO_MESSAGE;
+}
+
+/* Return the message of an id that is not in the table. */
+CANSER_COLD uint32_t message_of_new(const canser_database *self, const canser_frame *frame)
+{
+    return frame->ext ? find_pgn(self, frame->id) : CANSER_NO_MESSAGE;
+}
+
+CANSER_INLINE bool has_data(const canser_frame *frame)
+{
+    return !(frame->err | frame->rtr);
+}
+
+CANSER_INLINE uint32_t dlc_of(const canser_frame *frame)
+{
+    return frame->dlc > 8 ? 8 : frame->dlc;
+}
+
+/* ---- Multiplexers. */
+
+/* Return the case of a multiplexer's value, or NULL. */
+static const canser_case *find_case(const canser_database *self, const canser_mux *mux,
+                                    uint64_t value)
+{
+    const canser_case *const cases = self->cases + mux->first_case;
+    size_t low = 0;
+    size_t high = mux->case_count;
+
+    if (mux->table != CANSER_NO_TABLE) {
+        const uint32_t number = value < 256 ? self->tables[mux->table + value] : 0;
+
+        return number ? &cases[number - 1] : NULL;
+    }
+    while (low < high) {
+        const size_t middle = low + (high - low) / 2;
+
+        if (cases[middle].high < value)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low < mux->case_count && cases[low].low <= value ? &cases[low] : NULL;
+}
+
+/* What a frame lacks. */
+typedef struct {
+    bool is_short;
+    bool is_unknown;
+} lack;
+
+/* Count a frame in a page, and in all pages that it selects. */
+static void count_page(canser_database *self, uint32_t number, const canser_frame *frame,
+                       lack *found)
+{
+    canser_page *const page = &self->pages[number];
+    const uint32_t dlc = dlc_of(frame);
+
+    page->dlcs[dlc]++;
+    found->is_short |= dlc < page->full_dlc;
+    for (uint32_t i = 0; i < page->mux_count; i++) {
+        const canser_mux *const mux = &self->muxes[page->first_mux + i];
+        const canser_case *chosen;
+
+        if (dlc < mux->least_dlc)
+            continue;
+        chosen = find_case(self, mux, value_of(&mux->field, load_word(frame->data)));
+        if (!chosen) {
+            found->is_unknown = true;
+            continue;
+        }
+        for (uint32_t link = 0; link < chosen->link_count; link++)
+            count_page(self, self->links[chosen->first_link + link], frame, found);
+    }
+}
+
+/* Keep a frame for the groups of a page, and of all pages that it selects. Returns false if a group
+ * has no room. */
+static bool keep_page(canser_database *self, uint32_t number, const canser_frame *frame)
+{
+    const canser_page *const page = &self->pages[number];
+    const uint32_t dlc = dlc_of(frame);
+
+    for (uint32_t i = 0; i < page->group_count; i++) {
+        canser_group *const group = &self->groups[page->first_group + i];
+
+        if (dlc < group->least_dlc)
+            break;
+        if (!keep(self, group, frame))
+            return false;
+    }
+    for (uint32_t i = 0; i < page->mux_count; i++) {
+        const canser_mux *const mux = &self->muxes[page->first_mux + i];
+        const canser_case *chosen;
+
+        if (dlc < mux->least_dlc)
+            continue;
+        chosen = find_case(self, mux, value_of(&mux->field, load_word(frame->data)));
+        for (uint32_t link = 0; chosen && link < chosen->link_count; link++)
+            if (!keep_page(self, self->links[chosen->first_link + link], frame))
+                return false;
+    }
+    return true;
+}
+
+/* ---- The public functions. */
+
+/* Whether a table of ids may have this many places. */
+CANSER_INLINE bool is_fit(size_t id_cap)
+{
+    return id_cap > 1 && !(id_cap & (id_cap - 1)) && id_cap <= UINT32_MAX;
+}
+
+static int check(const canser_database *self, const canser_frame *frames, const uint16_t *routes,
+                 size_t frame_count)
+{
+    if (!self || ((!frames || !routes) && frame_count) || !self->ids)
+        return CANSER_NULL;
+    if (misaligned(frames, _Alignof(canser_frame)))
+        return CANSER_MISALIGNED;
+    if (!is_fit(self->id_cap) || self->id_count >= self->id_cap)
+        return CANSER_RANGE;
+    return CANSER_OK;
+}
+
+/* Count a frame whose id is not in the table. Returns false if there is no place for it. */
+CANSER_COLD bool add_id(canser_database *self, canser_known_id *place, const canser_frame *frame,
+                        uint32_t *message)
+{
+    *message = message_of_new(self, frame);
+    if (self->id_count >= self->id_most) {
+        self->other_count += *message == CANSER_NO_MESSAGE;
+        return true;
+    }
+    if (2 * (self->id_count + 1) > self->id_cap)
+        return false;
+    self->id_count++;
+    *place = (canser_known_id){1, frame->id, *message, frame->ext, 1};
+    return true;
+}
+
+CANSER_INLINE uint16_t route_to(uint32_t page)
+{
+    return (uint16_t)(page < CANSER_FAR_ROUTE ? page : CANSER_FAR_ROUTE);
+}
+
+int canser_database_count(canser_database *self, const canser_frame *frames, size_t frame_count,
+                          uint16_t *routes, size_t *used)
+{
+    const int status = check(self, frames, routes, frame_count);
+    size_t i = 0;
+
+    if (used)
+        *used = 0;
+    if (status)
+        return status;
+    if (!used)
+        return CANSER_NULL;
+    for (; i < frame_count; i++) {
+        const canser_frame *const frame = &frames[i];
+        canser_known_id *known;
+        canser_message *message;
+        canser_page *page;
+        uint32_t number;
+        lack found = {false, false};
+
+        routes[i] = CANSER_NO_ROUTE;
+        if (!has_data(frame)) {
+            self->error_count += frame->err;
+            self->remote_count += !frame->err;
+            continue;
+        }
+        known = find_id(self->ids, self->id_cap - 1, frame->id, frame->ext);
+        number = known->message;
+        if (CANSER_LIKELY(known->is_used))
+            known->count++;
+        else if (!add_id(self, known, frame, &number))
+            break;
+        if (number == CANSER_NO_MESSAGE)
+            continue;
+        message = &self->messages[number];
+        routes[i] = route_to(message->page);
+        page = &self->pages[message->page];
+        if (CANSER_LIKELY(!page->mux_count)) {
+            page->dlcs[dlc_of(frame)]++;
+            message->short_count += dlc_of(frame) < page->full_dlc;
+            continue;
+        }
+        count_page(self, message->page, frame, &found);
+        message->short_count += found.is_short;
+        message->unknown_count += found.is_unknown;
+    }
+    *used = i;
+    return CANSER_OK;
+}
+
+/* Return the page of the message of a frame, when its route has no room for it. */
+CANSER_COLD uint32_t far_page(const canser_database *self, const canser_frame *frame)
+{
+    const canser_known_id *const known =
+        find_id(self->ids, self->id_cap - 1, frame->id, frame->ext);
+    const uint32_t number = known->is_used ? known->message : message_of_new(self, frame);
+
+    return number == CANSER_NO_MESSAGE ? CANSER_NO_MESSAGE : self->messages[number].page;
+}
+
+int canser_database_decode(canser_database *self, const canser_frame *frames, size_t frame_count,
+                           const uint16_t *routes)
+{
+    const int status = check(self, frames, routes, frame_count);
+    bool has_room = true;
+
+    if (status)
+        return status;
+    for (size_t i = 0; i < frame_count && has_room; i++) {
+        const canser_frame *const frame = &frames[i];
+        const canser_page *page;
+        uint32_t number = routes[i];
+
+        if (number == CANSER_NO_ROUTE)
+            continue;
+        if (number == CANSER_FAR_ROUTE && (number = far_page(self, frame)) == CANSER_NO_MESSAGE)
+            continue;
+        page = &self->pages[number];
+        if (CANSER_LIKELY(page->group_count == 1 && !page->mux_count)) {
+            canser_group *const group = &self->groups[page->first_group];
+
+            if (dlc_of(frame) >= group->least_dlc)
+                has_room = keep(self, group, frame);
+        } else if (page->group_count || page->mux_count) {
+            has_room = keep_page(self, number, frame);
+        }
+    }
+    for (size_t i = 0; i < self->group_count; i++)
+        decode_block(self, &self->groups[i]);
+    return has_room ? CANSER_OK : CANSER_RANGE;
+}
+
+int canser_database_move_ids(canser_database *self, canser_known_id *ids, size_t id_cap)
+{
+    if (!self || !ids || !self->ids)
+        return CANSER_NULL;
+    if (!is_fit(id_cap) || self->id_count >= id_cap)
+        return CANSER_RANGE;
+    for (size_t i = 0; i < self->id_cap; i++)
+        if (self->ids[i].is_used)
+            *find_id(ids, id_cap - 1, self->ids[i].id, self->ids[i].ext) = self->ids[i];
+    self->ids = ids;
+    self->id_cap = id_cap;
+    return CANSER_OK;
+}
