@@ -17,10 +17,10 @@ EXAMPLES: Final = 80 if LONG else 30
 # A test that does more with CANSER_LONG=1.
 longer: Final = pytest.mark.long
 
-_skipped = pytest.mark.skipif(not LONG, reason="takes long: CANSER_LONG=1, as in .ci/run")
+skipped = pytest.mark.skipif(not LONG, reason="takes long: CANSER_LONG=1, as in .ci/run")
 
 
 def takes_long(test: Callable[..., Any]) -> Callable[..., Any]:
     """Mark a test that runs with CANSER_LONG=1 only."""
-    marked: Callable[..., Any] = longer(_skipped(test))
+    marked: Callable[..., Any] = longer(skipped(test))
     return marked
