@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from bus_numbers import NumberRow
 from canser._core.resample import Grid, resample_linear, resample_previous
-from canser.signals.signals import Group, Signal, Signals
+from canser.signals.signal import Signal
+from canser.signals.signals import Group, Signals
 from measure import paired
 
 STEP_NS, MAX_AGE_NS = 1_000_000, 1_000_000_000

@@ -28,6 +28,7 @@ import memory
 import peers
 import recording_files
 import resampling
+import signal_numbers
 from canser._frames import FrameArray
 from hostile import Bytes, hostile, noisy, tiled
 from measure import copy_and_fill, machine, paired
@@ -418,6 +419,8 @@ def rows(count: int, size: int, rounds: int, folder: Path) -> Iterator[Row]:
             yield from convert(stream, size, folder, max(rounds // 4, 1))
         yield from memory_rows(protocol, size // 2)
     for number in bus_numbers.rows(count, max(rounds // 2, 1), folder):
+        yield Row(*number)
+    for number in signal_numbers.rows(max(rounds // 2, 1), folder, max(count // 4, 50_000)):
         yield Row(*number)
     for number in resampling.rows(max(rounds // 2, 1)):
         yield Row(*number)

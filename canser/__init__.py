@@ -89,9 +89,9 @@ if TYPE_CHECKING:
     from canser.signals.messages import Message as Message
     from canser.signals.messages import SignalInfo as SignalInfo
     from canser.signals.report import DecodeReport as DecodeReport
+    from canser.signals.signal import Signal as Signal
     from canser.signals.signals import Group as Group
     from canser.signals.signals import Resampled as Resampled
-    from canser.signals.signals import Signal as Signal
     from canser.signals.signals import Signals as Signals
     from canser.simulation.faults import Faults as Faults
     from canser.simulation.simulator import Simulator as Simulator
@@ -232,10 +232,10 @@ _HOMES: Final = {
         "SignalInfo",
     ),
     "canser.signals.report": ("DecodeReport",),
+    "canser.signals.signal": ("Signal",),
     "canser.signals.signals": (
         "Group",
         "Resampled",
-        "Signal",
         "Signals",
     ),
     "canser.simulation.faults": ("Faults",),

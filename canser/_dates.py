@@ -3,9 +3,12 @@
 import datetime as dt
 from typing import Final
 
+import numpy as np
+import numpy.typing as npt
+
 from canser._frames import NO_TIME, YEAR_2000_NS, FrameArray
 
-__all__ = ["date_ns", "date_text", "first_date", "is_dated", "local_date", "to_ns"]
+__all__ = ["are_dates", "date_ns", "date_text", "first_date", "is_dated", "local_date", "to_ns"]
 
 _SECOND_NS: Final = 1_000_000_000
 # Frames whose times are looked at together. Most often the first time of all is known.
@@ -55,7 +58,11 @@ def first_date(frames: FrameArray, step_ns: int) -> int:
 
 def is_dated(frames: FrameArray) -> bool:
     """Return whether the first known time is a date."""
-    times = frames["ts"]
+    return are_dates(frames["ts"])
+
+
+def are_dates(times: npt.NDArray[np.int64]) -> bool:
+    """Return whether the first known time, of nanoseconds, is a date."""
     for first in range(0, len(times), _LOOKED_AT):
         part = times[first : first + _LOOKED_AT]
         known = part[part != NO_TIME]

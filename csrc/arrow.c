@@ -2,22 +2,31 @@
  *
  * A column is copied from an array of records, of frames or others. Bits of a column, and those
  * that tell which values are not null, stand 8 to a byte, the first one lowest. Rows are copied
- * block by block, all columns of a block together, so that records are read from memory once.
+ * in groups, all columns of a group together, so that records are read from memory once. Values
+ * that lie in a block of memory already are shared instead.
  *
- * This is the one file that allocates: the takers of a table own its memory together, and the last
- * one gives it back. A taker may move a struct away from where it was made, and release it
- * anywhere, in any order. So all structs of one export stand in one room, which is freed when the
- * last of them is released.
+ * This is the one file that allocates: the takers of a table, or of a block, own its memory
+ * together, and the last one gives it back. A taker may move a struct away from where it was made,
+ * and release it anywhere, in any order. So all structs of one export stand in one room, which is
+ * freed when the last of them is released.
  *
  * Source: arrow.apache.org, The Arrow C data interface, The Arrow C stream interface, Arrow
  * columnar format.
  */
+#if defined(__linux__) && !defined(_DEFAULT_SOURCE)
+#define _DEFAULT_SOURCE /* madvise, where -std=c11 hides it */
+#endif
+
 #include "arrow.h"
 
 #include "protocol.h"
 
 #include <errno.h>
 #include <stdlib.h>
+
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
 
 /* A test names its own functions here, to let the first one fail, and to count. */
 #ifdef CANSER_MALLOC
@@ -31,21 +40,35 @@ void CANSER_FREE(void *p);
 /* Columns begin at multiples of this, and are padded to it with zeros, as Arrow recommends. */
 enum { ALIGNMENT = 64 };
 
+/* From this size on the kernel is asked for large pages, as numpy does: the first use of each page
+ * costs more than the writing. */
+enum { LARGE = 1 << 22, PAGE = 1 << 12 };
+
 /* Rows that are copied at a time, a multiple of 8: 24 KiB of frames, which the nearest cache holds.
  */
-enum { BLOCK_ROWS = 1024 };
+enum { GROUP_ROWS = 1024 };
 
-/* The widest value, and the most columns. */
-enum { SIZE_MOST = 1 << 16, COLUMNS_MOST = 1 << 12 };
+/* The widest value, the most columns, and the most texts of a dictionary. */
+enum { SIZE_MOST = 1 << 16, COLUMNS_MOST = 1 << 15, COUNT_MOST = INT32_MAX };
+
+struct canser_block {
+    uint32_t refs; /* the caller, and each column of a table */
+    size_t size;
+    uint8_t *values; /* behind this struct */
+};
 
 typedef struct {
     char *name;
     char *format;
+    char *metadata; /* NULL: there is none */
     int kind;
     int64_t null_count;
-    uint8_t *valid;  /* the bits of values that are not null; NULL: all are valid */
-    uint8_t *values; /* of a text its ends, i64 */
-    uint8_t *texts;  /* the bytes of all texts; NULL in other columns */
+    uint8_t *valid;        /* the bits of values that are not null; NULL: all are valid */
+    const uint8_t *values; /* of a text its ends, i64 */
+    canser_block *block;   /* has the values; NULL: the table has them */
+    uint8_t *texts;        /* the bytes of all texts, also of a dictionary; NULL in other columns */
+    uint8_t *ends;         /* of a dictionary, i32 */
+    int64_t text_count;
 } table_column;
 
 struct canser_table {
@@ -58,6 +81,65 @@ struct canser_table {
 CANSER_INLINE size_t padded(size_t size)
 {
     return (size + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
+}
+
+/* Memory for `size` bytes, which are not set, or NULL. */
+static void *allocate(size_t size)
+{
+    void *const p = CANSER_MALLOC(size);
+
+#ifdef MADV_HUGEPAGE
+    if (p && size >= LARGE) {
+        const size_t skipped = PAGE - (uintptr_t)p % PAGE;
+        /* A kernel without large pages refuses: then they are small. */
+        (void)madvise((uint8_t *)p + skipped, size - skipped, MADV_HUGEPAGE);
+    }
+#endif
+    return p;
+}
+
+/* The first multiple of ALIGNMENT from `p` on. */
+CANSER_INLINE uint8_t *aligned(void *p)
+{
+    return (uint8_t *)p + (ALIGNMENT - (uintptr_t)p % ALIGNMENT) % ALIGNMENT;
+}
+
+int canser_block_new(size_t size, canser_block **block)
+{
+    if (!block)
+        return CANSER_NULL;
+    *block = NULL;
+    if (size > SIZE_MAX / 2)
+        return CANSER_NO_MEMORY;
+    canser_block *const self = allocate(sizeof *self + ALIGNMENT + padded(size));
+    if (!self)
+        return CANSER_NO_MEMORY;
+    *self = (canser_block){.refs = 1, .size = size, .values = aligned(self + 1)};
+    memset(self->values + size, 0, padded(size) - size);
+    *block = self;
+    return CANSER_OK;
+}
+
+uint8_t *canser_block_values(const canser_block *self)
+{
+    return self ? self->values : NULL;
+}
+
+void canser_block_share(canser_block *self)
+{
+    if (self)
+        CANSER_ADD(&self->refs, 1);
+}
+
+size_t canser_block_owners(canser_block *self)
+{
+    return self ? CANSER_ADD(&self->refs, 0) : 0;
+}
+
+void canser_block_release(canser_block *self)
+{
+    if (self && !CANSER_ADD(&self->refs, -1))
+        CANSER_FREE(self);
 }
 
 CANSER_INLINE const uint8_t *value_at(const canser_column *from, size_t row)
@@ -84,6 +166,8 @@ static size_t texts_len(const canser_column *from, size_t row_count)
 
 static size_t values_len(const canser_column *from, size_t row_count)
 {
+    if (from->block)
+        return 0;
     switch (from->kind) {
     case CANSER_COLUMN_FLAGS:
         return (row_count + 7) / 8;
@@ -110,13 +194,25 @@ static uint8_t *take(uint8_t **at, size_t *sum, size_t size)
     return taken;
 }
 
+/* Take as many bytes, and copy them. */
+static uint8_t *take_copy(uint8_t **at, size_t *sum, const void *from, size_t size)
+{
+    uint8_t *const taken = take(at, sum, size);
+
+    if (taken && size)
+        memcpy(taken, from, size);
+    return taken;
+}
+
 static char *take_text(uint8_t **at, size_t *sum, const char *text)
 {
-    uint8_t *const taken = take(at, sum, strlen(text) + 1);
+    return (char *)take_copy(at, sum, text, strlen(text) + 1);
+}
 
-    if (taken)
-        memcpy(taken, text, strlen(text) + 1);
-    return (char *)taken;
+/* Where the last text ends. */
+CANSER_INLINE size_t last_end(const canser_texts *texts)
+{
+    return (size_t)texts->ends[texts->count];
 }
 
 /* Place what belongs to the columns at `at`, and return its size; with `self` NULL only that. */
@@ -131,9 +227,22 @@ static size_t place(canser_table *self, uint8_t *at, const canser_column *column
 
         to.name = take_text(&at, &sum, from->name);
         to.format = take_text(&at, &sum, from->format);
+        if (from->metadata)
+            to.metadata = (char *)take_copy(&at, &sum, from->metadata, from->metadata_len);
+        to.block = from->block;
         to.values = take(&at, &sum, values_len(from, row_count));
+        if (to.block)
+            to.values = from->values;
         if (from->kind == CANSER_COLUMN_TEXT)
             to.texts = take(&at, &sum, texts_len(from, row_count) + 1);
+        if (from->kind == CANSER_COLUMN_DICTIONARY) {
+            const canser_texts *const texts = from->texts;
+            to.text_count = (int64_t)texts->count;
+            to.ends = take_copy(&at, &sum, texts->ends, (texts->count + 1) * sizeof *texts->ends);
+            to.texts = take(&at, &sum, last_end(texts) + 1);
+            if (to.texts)
+                memcpy(to.texts, texts->bytes, last_end(texts));
+        }
         if (from->nulls != CANSER_NULLS_NONE)
             to.valid = take(&at, &sum, (row_count + 7) / 8);
         if (self)
@@ -149,7 +258,7 @@ CANSER_INLINE void copy_values(uint8_t *to, const uint8_t *from, ptrdiff_t strid
         memcpy(to + i * size, from + (ptrdiff_t)i * stride, size);
 }
 
-/* Copy up to BLOCK_ROWS rows of values; the usual sizes are constants. */
+/* Copy up to GROUP_ROWS rows of values; the usual sizes are constants. */
 static void copy(uint8_t *to, const canser_column *from, size_t first, size_t count)
 {
     const uint8_t *const source = value_at(from, first);
@@ -191,18 +300,19 @@ static void copy_flags(uint8_t *to, const canser_column *from, size_t first, siz
         to[i / 8] = flags_at(&column, i, first + count - i);
 }
 
-static void copy_texts(table_column *to, const canser_column *from, size_t first, size_t count)
+static void copy_texts(uint8_t *ends, uint8_t *texts, const canser_column *from, size_t first,
+                       size_t count)
 {
     for (size_t i = first; i < first + count; i++) {
         int64_t begin = 0, end;
 
         if (i)
-            memcpy(&begin, to->values + i * sizeof begin, sizeof begin);
+            memcpy(&begin, ends + i * sizeof begin, sizeof begin);
         else
-            memcpy(to->values, &begin, sizeof begin);
+            memcpy(ends, &begin, sizeof begin);
         end = begin + (int64_t)text_len(from, i);
-        memcpy(to->texts + begin, value_at(from, i), (size_t)(end - begin));
-        memcpy(to->values + (i + 1) * sizeof end, &end, sizeof end);
+        memcpy(texts + begin, value_at(from, i), (size_t)(end - begin));
+        memcpy(ends + (i + 1) * sizeof end, &end, sizeof end);
     }
 }
 
@@ -221,6 +331,8 @@ CANSER_INLINE bool is_null(const canser_column *from, int nulls, size_t row)
     case CANSER_NULLS_NAN:
         memcpy(&number, p, sizeof number);
         return number != number;
+    case CANSER_NULLS_MASK:
+        return !from->mask[row];
     default:
         return true;
     }
@@ -256,23 +368,44 @@ CANSER_INLINE void find_nulls(table_column *to, const canser_column *from, int n
     to->null_count += null_count;
 }
 
-static void fill(table_column *to, const canser_column *from, size_t first, size_t count)
+static void copy_rows(uint8_t *to, uint8_t *texts, const canser_column *from, size_t first,
+                      size_t count)
 {
     if (from->kind == CANSER_COLUMN_FLAGS)
-        copy_flags(to->values, from, first, count);
+        copy_flags(to, from, first, count);
     else if (from->kind == CANSER_COLUMN_TEXT)
-        copy_texts(to, from, first, count);
+        copy_texts(to, texts, from, first, count);
     else
-        copy(to->values, from, first, count);
+        copy(to, from, first, count);
+}
+
+static void fill(table_column *to, const canser_column *from, size_t first, size_t count)
+{
+    if (!from->block)
+        copy_rows((uint8_t *)(uintptr_t)to->values, to->texts, from, first, count);
     switch (from->nulls) {
     case CANSER_NULLS_NONE:
         break;
     case CANSER_NULLS_NO_TIME:
         find_nulls(to, from, CANSER_NULLS_NO_TIME, first, count);
         break;
+    case CANSER_NULLS_MASK:
+        find_nulls(to, from, CANSER_NULLS_MASK, first, count);
+        break;
     default:
         find_nulls(to, from, from->nulls, first, count);
     }
+}
+
+/* Whether the values lie in the block of a column, one behind the other, as Arrow has them. */
+static bool is_in_block(const canser_column *column, size_t row_count)
+{
+    const uintptr_t values = (uintptr_t)column->values, begin = (uintptr_t)column->block->values;
+    const size_t size = column->block->size;
+
+    return (column->kind == CANSER_COLUMN_VALUES || column->kind == CANSER_COLUMN_DICTIONARY) &&
+           (column->stride == (ptrdiff_t)column->size || row_count < 2) && values >= begin &&
+           values - begin <= size && row_count <= (size - (values - begin)) / column->size;
 }
 
 static int check(const canser_column *columns, size_t column_count, size_t row_count)
@@ -283,9 +416,21 @@ static int check(const canser_column *columns, size_t column_count, size_t row_c
         const canser_column *const column = &columns[i];
         if (!column->name || !column->format || (!column->values && row_count))
             return CANSER_NULL;
-        if (column->kind < CANSER_COLUMN_VALUES || column->kind > CANSER_COLUMN_TEXT ||
-            column->nulls < CANSER_NULLS_NONE || column->nulls > CANSER_NULLS_NAN ||
+        if (column->nulls == CANSER_NULLS_MASK && !column->mask && row_count)
+            return CANSER_NULL;
+        if (column->kind < CANSER_COLUMN_VALUES || column->kind > CANSER_COLUMN_DICTIONARY ||
+            column->nulls < CANSER_NULLS_NONE || column->nulls > CANSER_NULLS_MASK ||
             !column->size || column->size > SIZE_MOST)
+            return CANSER_RANGE;
+        if (column->kind == CANSER_COLUMN_DICTIONARY) {
+            const canser_texts *const texts = column->texts;
+            if (!texts || !texts->bytes || !texts->ends)
+                return CANSER_NULL;
+            if (column->size != sizeof(int32_t) || texts->count > COUNT_MOST ||
+                texts->ends[texts->count] < 0)
+                return CANSER_RANGE;
+        }
+        if (column->block && !is_in_block(column, row_count))
             return CANSER_RANGE;
         if (column->size < 8 &&
             (column->nulls == CANSER_NULLS_NO_TIME || column->nulls == CANSER_NULLS_NAN))
@@ -321,15 +466,13 @@ int canser_table_new(const canser_column *columns, size_t column_count, size_t r
         return CANSER_NO_MEMORY;
     size = sizeof(canser_table) + column_count * sizeof(table_column);
     canser_table *const self =
-        CANSER_MALLOC(size + ALIGNMENT + place(NULL, NULL, columns, column_count, row_count));
+        allocate(size + ALIGNMENT + place(NULL, NULL, columns, column_count, row_count));
     if (!self)
         return CANSER_NO_MEMORY;
     *self = (canser_table){.refs = 1, .row_count = row_count, .column_count = column_count};
-    uint8_t *at = (uint8_t *)self + size;
-    at += (ALIGNMENT - (uintptr_t)at % ALIGNMENT) % ALIGNMENT;
-    place(self, at, columns, column_count, row_count);
-    for (size_t first = 0; first < row_count; first += BLOCK_ROWS) {
-        const size_t left = row_count - first, count = left < BLOCK_ROWS ? left : BLOCK_ROWS;
+    place(self, aligned((uint8_t *)self + size), columns, column_count, row_count);
+    for (size_t first = 0; first < row_count; first += GROUP_ROWS) {
+        const size_t left = row_count - first, count = left < GROUP_ROWS ? left : GROUP_ROWS;
         for (size_t i = 0; i < column_count; i++)
             fill(&self->columns[i], &columns[i], first, count);
     }
@@ -337,6 +480,7 @@ int canser_table_new(const canser_column *columns, size_t column_count, size_t r
         table_column *const column = &self->columns[i];
         if (!column->null_count)
             column->valid = NULL;
+        canser_block_share(column->block);
     }
     *table = self;
     return CANSER_OK;
@@ -350,8 +494,11 @@ void canser_table_share(canser_table *self)
 
 void canser_table_release(canser_table *self)
 {
-    if (self && !CANSER_ADD(&self->refs, -1))
-        CANSER_FREE(self);
+    if (!self || CANSER_ADD(&self->refs, -1))
+        return;
+    for (size_t i = 0; i < self->column_count; i++)
+        canser_block_release(self->columns[i].block);
+    CANSER_FREE(self);
 }
 
 int canser_table_column(const canser_table *self, size_t index, const uint8_t **values,
@@ -409,6 +556,8 @@ static void release_schema(struct ArrowSchema *schema)
         if (child->release)
             child->release(child);
     }
+    if (schema->dictionary && schema->dictionary->release)
+        schema->dictionary->release(schema->dictionary);
     schema->release = NULL;
     leave_schema_room(schema->private_data);
 }
@@ -439,19 +588,24 @@ int canser_table_schema(canser_table *self, struct ArrowSchema **schema)
     for (size_t i = 0; i < count; i++) {
         const table_column *const column = &self->columns[i];
         schema_slot *const slot = &room->slots[i];
-        slot->item = (struct ArrowSchema){
-            .format = "C", .name = "item", .release = release_schema, .private_data = room};
+        slot->item = (struct ArrowSchema){.format = column->ends ? "u" : "C",
+                                          .name = column->ends ? "" : "item",
+                                          .flags = column->ends ? ARROW_FLAG_NULLABLE : 0,
+                                          .release = release_schema,
+                                          .private_data = room};
         slot->item_pointers[0] = &slot->item;
         slot->column = (struct ArrowSchema){
             .format = column->format,
             .name = column->name,
+            .metadata = column->metadata,
             .flags = ARROW_FLAG_NULLABLE,
             .n_children = child_count(column),
             .children = slot->item_pointers,
+            .dictionary = column->ends ? &slot->item : NULL,
             .release = release_schema,
             .private_data = room,
         };
-        room->refs += 1 + (uint32_t)child_count(column);
+        room->refs += 1 + (uint32_t)child_count(column) + (column->ends != NULL);
         pointers[i] = &slot->column;
     }
     canser_table_share(self);
@@ -473,7 +627,7 @@ typedef struct {
     struct ArrowArray column, item;
     struct ArrowArray *item_pointers[1];
     const void *buffers[3];
-    const void *item_buffers[2];
+    const void *item_buffers[3];
 } array_slot;
 
 typedef struct {
@@ -499,6 +653,8 @@ static void release_array(struct ArrowArray *array)
         if (child->release)
             child->release(child);
     }
+    if (array->dictionary && array->dictionary->release)
+        array->dictionary->release(array->dictionary);
     array->release = NULL;
     leave_array_room(array->private_data);
 }
@@ -535,10 +691,11 @@ int canser_table_array(canser_table *self, struct ArrowArray **array)
         slot->buffers[1] = column->values;
         slot->buffers[2] = column->texts;
         slot->item_buffers[0] = NULL;
-        slot->item_buffers[1] = column->values;
+        slot->item_buffers[1] = column->ends ? column->ends : column->values;
+        slot->item_buffers[2] = column->texts;
         slot->item = (struct ArrowArray){
-            .length = is_list ? (int64_t)self->row_count * list_len(column) : 0,
-            .n_buffers = 2,
+            .length = is_list ? (int64_t)self->row_count * list_len(column) : column->text_count,
+            .n_buffers = column->ends ? 3 : 2,
             .buffers = slot->item_buffers,
             .release = release_array,
             .private_data = room,
@@ -547,16 +704,17 @@ int canser_table_array(canser_table *self, struct ArrowArray **array)
         slot->column = (struct ArrowArray){
             .length = (int64_t)self->row_count,
             .null_count = column->null_count,
-            .n_buffers = is_list         ? 1
-                         : column->texts ? 3
-                                         : 2,
+            .n_buffers = is_list                              ? 1
+                         : column->kind == CANSER_COLUMN_TEXT ? 3
+                                                              : 2,
             .n_children = child_count(column),
             .buffers = slot->buffers,
             .children = slot->item_pointers,
+            .dictionary = column->ends ? &slot->item : NULL,
             .release = release_array,
             .private_data = room,
         };
-        room->refs += 1 + (uint32_t)child_count(column);
+        room->refs += 1 + (uint32_t)child_count(column) + (column->ends != NULL);
         pointers[i] = &slot->column;
     }
     canser_table_share(self);

@@ -1183,10 +1183,11 @@ int canser_times_rise(const int64_t *ts, size_t count, uint8_t *rise);
 
 /* How the values of a column are copied. */
 enum {
-    CANSER_COLUMN_VALUES, /* `size` bytes each */
-    CANSER_COLUMN_FLAGS,  /* a byte each, of which a bit is made: 1 unless it is 0 */
-    CANSER_COLUMN_LIST,   /* `size` bytes each, as a list of numbers of fixed length */
-    CANSER_COLUMN_TEXT    /* UTF-8, up to `size` bytes each, with zero bytes behind it */
+    CANSER_COLUMN_VALUES,    /* `size` bytes each */
+    CANSER_COLUMN_FLAGS,     /* a byte each, of which a bit is made: 1 unless it is 0 */
+    CANSER_COLUMN_LIST,      /* `size` bytes each, as a list of numbers of fixed length */
+    CANSER_COLUMN_TEXT,      /* UTF-8, up to `size` bytes each, with zero bytes behind it */
+    CANSER_COLUMN_DICTIONARY /* int32_t, each the index of one of `texts` */
 };
 
 /* Which values of a column are null. */
@@ -1195,21 +1196,37 @@ enum {
     CANSER_NULLS_ALL,
     CANSER_NULLS_NO_TIME,    /* CANSER_NO_TIME, of int64_t */
     CANSER_NULLS_NO_CHANNEL, /* CANSER_NO_CHANNEL, of uint8_t */
-    CANSER_NULLS_NAN         /* of double */
+    CANSER_NULLS_NAN,        /* of double */
+    CANSER_NULLS_MASK        /* those whose byte in `mask` is 0 */
 };
+
+/* Memory that arrays and columns of tables own together: the last one that is released frees it. */
+typedef struct canser_block canser_block;
+
+/* The texts of a dictionary, different ones: UTF-8, one behind the other. */
+typedef struct {
+    const char *bytes;
+    const int32_t *ends; /* of `count` + 1 numbers the first is 0; the others are where texts end */
+    size_t count;
+} canser_texts;
 
 /* A column of an array of records. */
 typedef struct {
     const char *name;
-    const char *format; /* of its type in Arrow, such as "I"; of a list "+w:" and `size` */
-    const void *values; /* the first one; need not be aligned */
-    ptrdiff_t stride;   /* bytes from one value to the next; may be negative */
-    size_t size;        /* of a value */
-    int kind;           /* CANSER_COLUMN_* */
-    int nulls;          /* CANSER_NULLS_* */
+    const char *format;        /* of its type in Arrow, such as "I"; of a list "+w:" and `size` */
+    const void *values;        /* the first one; need not be aligned */
+    ptrdiff_t stride;          /* bytes from one value to the next; may be negative */
+    size_t size;               /* of a value */
+    int kind;                  /* CANSER_COLUMN_* */
+    int nulls;                 /* CANSER_NULLS_* */
+    const uint8_t *mask;       /* of CANSER_NULLS_MASK, a byte for each value */
+    const canser_texts *texts; /* of CANSER_COLUMN_DICTIONARY */
+    const void *metadata;      /* of the field, encoded as Arrow tells; NULL: there is none */
+    size_t metadata_len;
+    canser_block *block; /* has the values, which the table shares; NULL: they are copied */
 } canser_column;
 
-/* Records as columns, in memory of their own that never changes. The caller, and all structs
+/* Records as columns, in memory that never changes. The caller, and all structs
  * that were made of the table, own it together: the last one that is released frees it. */
 typedef struct canser_table canser_table;
 
@@ -1220,11 +1237,28 @@ struct ArrowSchema;
 struct ArrowArray;
 struct ArrowArrayStream;
 
-/* Copy columns, with their names and formats, into a new table.
+/* Make a block of `size` bytes, which are not set. They begin at a multiple of 64.
+ *
+ * Returns CANSER_OK, and the caller releases `*block`; CANSER_NULL or CANSER_NO_MEMORY, and
+ * `*block` is NULL. */
+int canser_block_new(size_t size, canser_block **block);
+
+/* The bytes of a block, which are good as long as it is owned. */
+uint8_t *canser_block_values(const canser_block *self);
+
+/* Own the block once more, tell how many own it, and release it, once. NULL is allowed. */
+void canser_block_share(canser_block *self);
+size_t canser_block_owners(canser_block *self);
+void canser_block_release(canser_block *self);
+
+/* Copy columns, with their names, formats and metadata, into a new table. Values that lie in a
+ * block, one behind the other, are not copied: the table owns the block once more. The caller does
+ * not write to them as long as it does.
  *
  * Returns CANSER_OK, and the caller releases `*table`; CANSER_NULL, CANSER_NO_MEMORY, or
- * CANSER_RANGE for an unknown kind or a size that does not fit it, and `*table` is NULL. `values`
- * may be NULL if `row_count` is 0. The formats are not checked. */
+ * CANSER_RANGE for an unknown kind, a size that does not fit it, or values that do not lie in their
+ * block, and `*table` is NULL. `values` may be NULL if `row_count` is 0. The formats, the metadata
+ * and the indices of a dictionary are not checked. */
 int canser_table_new(const canser_column *columns, size_t column_count, size_t row_count,
                      canser_table **table);
 

@@ -33,6 +33,7 @@ SECTIONS = {
     "signals.database": "Signals",
     "signals.decoder": "Signals",
     "signals.signals": "Signals",
+    "signals.signal": "Signals",
     "signals.report": "Signals",
     "signals.messages": "Signals",
     "files.fits": "Which protocol is it",

@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import canser
-from canser.signals.signals import Group, Resampled, Signal, Signals
+from canser.signals.signal import Signal
+from canser.signals.signals import Group, Resampled, Signals
 
 FIRST, LAST = -(2**63) + 1, 2**63 - 1
 NO_REPORT: Any = None  # resampling does not look at it
@@ -372,7 +373,7 @@ def test_a_false_time_does_not_fill_the_memory() -> None:
         ([0, 5, 4], ValueError, r"time 2 of the grid is before .*; give np.sort\(times\)"),
         (np.array([2**63], np.uint64), ValueError, "within 292 years"),
         (np.array(["2500"], "M8[s]"), ValueError, "within 292 years"),
-        ("Q", KeyError, "no signal 'Q' was decoded; a step is a text such as 10ms"),
+        ("Q", KeyError, "there is no signal 'Q'; there are: M.S; a step is a text such as 10ms"),
     ],
 )
 def test_grids_that_are_refused(grid: Any, kind: type[Exception], message: str) -> None:

@@ -1,8 +1,12 @@
-"""Tables: frames as columns of Arrow in memory of C, and the capsules that hand them on."""
+"""Tables: records as columns of Arrow in memory of C, and the capsules that hand them on.
+
+Arrays of `shared_empty` become columns without a copy: the array and the table own the memory.
+"""
 
 import ctypes
 import math
-from collections.abc import Callable, Sequence
+import struct
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -12,9 +16,11 @@ from canser._core._lib import ffi, lib
 from canser._core.buffers import NULL, Pointer, raise_status
 
 __all__ = [
+    "DICTIONARY",
     "FLAGS",
     "LIST",
     "NULLS_ALL",
+    "NULLS_MASK",
     "NULLS_NAN",
     "NULLS_NONE",
     "NULLS_NO_CHANNEL",
@@ -24,6 +30,8 @@ __all__ = [
     "Capsule",
     "Column",
     "Columns",
+    "is_shared",
+    "shared_empty",
 ]
 
 # How values are copied, and which ones are null: see canser.h.
@@ -31,11 +39,16 @@ VALUES: Final[int] = lib.CANSER_COLUMN_VALUES
 FLAGS: Final[int] = lib.CANSER_COLUMN_FLAGS
 LIST: Final[int] = lib.CANSER_COLUMN_LIST
 TEXT: Final[int] = lib.CANSER_COLUMN_TEXT
+DICTIONARY: Final[int] = lib.CANSER_COLUMN_DICTIONARY
 NULLS_NONE: Final[int] = lib.CANSER_NULLS_NONE
 NULLS_ALL: Final[int] = lib.CANSER_NULLS_ALL
 NULLS_NO_TIME: Final[int] = lib.CANSER_NULLS_NO_TIME
 NULLS_NO_CHANNEL: Final[int] = lib.CANSER_NULLS_NO_CHANNEL
 NULLS_NAN: Final[int] = lib.CANSER_NULLS_NAN
+NULLS_MASK: Final[int] = lib.CANSER_NULLS_MASK
+
+# Texts of a dictionary end at numbers of 32 bits.
+_TEXTS_MOST: Final = 2**31 - 1
 
 # A PyCapsule with a struct of Arrow, which one consumer takes.
 Capsule = object
@@ -76,10 +89,56 @@ _STREAM: Final = _kind(
 )
 
 
+def shared_empty(count: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """Return a new array of any values whose memory becomes a column without a copy.
+
+    For numbers and times. A table of such an array, or of a slice of it, sees what is written
+    later: write only while `is_shared` is False.
+    """
+    made, dtype = ffi.new("canser_block **"), np.dtype(dtype)
+    status = lib.canser_block_new(count * dtype.itemsize, made)
+    if status == lib.CANSER_NO_MEMORY:
+        raise MemoryError(f"there is no memory for {count:,} values of {dtype}")
+    if status:
+        raise_status(status)
+    return np.asarray(_Block(made[0], dtype, count))
+
+
+def is_shared(array: npt.NDArray[Any]) -> bool:
+    """Return whether a table, or a program that took one, has the memory of an array.
+
+    Views of numpy are not counted. False of an array that `shared_empty` did not make.
+    """
+    block = _block_of(array)
+    return block is not None and bool(lib.canser_block_owners(block.pointer) > 1)
+
+
+class _Block:
+    """Owns memory of `shared_empty` as long as arrays are in use."""
+
+    def __init__(self, block: Pointer, dtype: np.dtype[Any], count: int) -> None:
+        self.pointer = ffi.gc(block, lib.canser_block_release)
+        self.__array_interface__ = {
+            "version": 3,
+            "typestr": dtype.str,
+            "shape": (count,),
+            "data": (int(ffi.cast("uintptr_t", lib.canser_block_values(block))), False),
+        }
+
+
+def _block_of(array: Any) -> _Block | None:
+    """Return what owns the memory of an array, also of a view, if `shared_empty` made it."""
+    while isinstance(array, np.ndarray):
+        array = array.base
+    return array if isinstance(array, _Block) else None
+
+
 class Column(NamedTuple):
     """A column of records: see canser_column.
 
     `values` has one dimension, or two for bytes and lists; it need not be contiguous or aligned.
+    `mask` (of bool, for NULLS_MASK) is true where a value is not null. `texts`, all different, are
+    those of a DICTIONARY, whose values are int32. `metadata` is of the field.
     """
 
     name: str
@@ -87,25 +146,56 @@ class Column(NamedTuple):
     values: npt.NDArray[Any]
     kind: int = VALUES
     nulls: int = NULLS_NONE
+    mask: npt.NDArray[np.bool_] | None = None
+    texts: Sequence[str] = ()
+    metadata: Mapping[str, str] | None = None
+
+
+def _encoded(metadata: Mapping[str, str]) -> bytes:
+    """Return pairs of texts as Arrow has them: their number, then each text with its length."""
+    parts = [struct.pack("=i", len(metadata))]
+    for pair in metadata.items():
+        for text in pair:
+            encoded = text.encode()
+            parts += [struct.pack("=i", len(encoded)), encoded]
+    return b"".join(parts)
 
 
 class Columns:
-    """Columns in memory of C, which never changes; see canser_table_new. They are copied."""
+    """Columns in memory of C; see canser_table_new.
+
+    They are copied. Values of `shared_empty` that lie one behind the other are shared instead.
+    """
 
     def __init__(self, columns: Sequence[Column], count: int) -> None:
         self._count = count
         # What tells the type of a view, but not the caller's arrays.
         self._types = [(each.kind, each.values.dtype, each.values.shape[1:]) for each in columns]
         given = ffi.new("canser_column[]", len(columns))
-        texts = []
+        kept: list[Any] = []
         for to, column in zip(given, columns, strict=True):
-            texts += [ffi.new("char[]", text.encode()) for text in (column.name, column.format)]
-            to.name, to.format = texts[-2:]
+            kept += [ffi.new("char[]", text.encode()) for text in (column.name, column.format)]
+            to.name, to.format = kept[-2:]
             values = column.values
             to.values = ffi.cast("void *", values.ctypes.data)
             to.stride = values.strides[0] if count else 0
             to.size = values.itemsize * math.prod(values.shape[1:])
             to.kind, to.nulls = column.kind, column.nulls
+            if column.kind in (VALUES, DICTIONARY) and count and _is_plain(values):
+                block = _block_of(values)
+                if block is not None:
+                    to.block = block.pointer
+            if column.mask is not None:
+                mask = np.ascontiguousarray(column.mask, np.bool_).view(np.uint8)
+                to.mask = ffi.from_buffer("uint8_t[]", mask)
+                kept.append(mask)
+            if column.kind == DICTIONARY:
+                kept.append(_texts(column.texts))
+                to.texts = kept[-1][0]
+            if column.metadata:
+                metadata = _encoded(column.metadata)
+                kept.append(ffi.from_buffer(metadata))
+                to.metadata, to.metadata_len = kept[-1], len(metadata)
         made = ffi.new("canser_table **")
         self._check(lib.canser_table_new(given, len(columns), count, made))
         self._table = ffi.gc(made[0], lib.canser_table_release)
@@ -173,6 +263,24 @@ class Columns:
             raise MemoryError(f"there is no memory for a table of {self._count:,} rows")
         if status:
             raise_status(status)
+
+
+def _is_plain(values: npt.NDArray[Any]) -> bool:
+    """Return whether values lie as Arrow has them, at an address that all its takers read."""
+    return values.ndim == 1 and values.flags.c_contiguous and values.flags.aligned
+
+
+def _texts(texts: Sequence[str]) -> tuple[Pointer, ...]:
+    """Return a canser_texts, and what it points to."""
+    encoded = [text.encode() for text in texts]
+    size = sum(map(len, encoded))
+    if size > _TEXTS_MOST:
+        raise ValueError(
+            f"the texts of a column are {size:,} bytes; Arrow has up to {_TEXTS_MOST:,} in one"
+        )
+    ends = ffi.new("int32_t[]", [0, *np.cumsum([len(text) for text in encoded]).tolist()])
+    joined = ffi.from_buffer(b"".join(encoded) + b"\0")
+    return ffi.new("canser_texts *", (joined, ends, len(encoded))), joined, ends
 
 
 class _View:

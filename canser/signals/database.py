@@ -1,6 +1,5 @@
 """Databases: what the bytes of frames mean."""
 
-import difflib
 import fnmatch
 import os
 import warnings
@@ -19,6 +18,7 @@ from canser.signals.decoder import SignalDecoder
 from canser.signals.encoder import encode_message
 from canser.signals.layout import Layout
 from canser.signals.messages import Message
+from canser.signals.named import unknown_name
 from canser.signals.signals import Signals
 
 __all__ = ["Database"]
@@ -225,7 +225,7 @@ class Database:
         frames = np.zeros(len(messages), FRAME_DTYPE)
         for frame, (name, values) in zip(frames, messages.items(), strict=True):
             if name not in self.messages:
-                raise ValueError(_unknown(name, "message", self.messages))
+                raise ValueError(unknown_name(name, "message", self.messages))
             encode_message(self.messages[name], values, frame)
         frames["ts"] = NO_TIME
         return frames
@@ -251,7 +251,7 @@ class Database:
             text(pattern, "a name", "'EngineData.RPM'")
             matching = [each for each in full if _is_named(each, pattern)]
             if not matching:
-                raise ValueError(_unknown(pattern, "signal", full))
+                raise ValueError(unknown_name(pattern, "signal", full))
             found.update(matching)
         return frozenset(found)
 
@@ -259,14 +259,6 @@ class Database:
 def _is_named(full: str, pattern: str) -> bool:
     message, _, name = full.rpartition(".")
     return any(fnmatch.fnmatchcase(each, pattern) for each in (full, name, message))
-
-
-def _unknown(name: str, what: str, names: Iterable[str]) -> str:
-    """Return the text of an error, with names that are alike."""
-    short = {each.rpartition(".")[2]: each for each in names}
-    alike = difflib.get_close_matches(name, [*names, *short], n=3)
-    hint = f"; did you mean {' or '.join(dict.fromkeys(alike))}?" if alike else ""
-    return f"the database has no {what} {name!r}{hint}"
 
 
 def _warn_of_twice(message: Message, why: str) -> None:

@@ -8,12 +8,15 @@ import numpy as np
 import numpy.typing as npt
 
 from canser._checks import instance
+from canser._core.arrow import is_shared, shared_empty
 from canser._core.signals import GROUP_DTYPE, Routes
 from canser._frames import FrameArray, check_frames, copy_records
 from canser.signals.layout import Layout, Page
+from canser.signals.named import unknown_name
 from canser.signals.plans import Plan
 from canser.signals.report import DecodeReport, make_report
-from canser.signals.signals import Group, Signal, Signals
+from canser.signals.signal import Signal
+from canser.signals.signals import Group, Signals
 
 __all__ = ["SignalDecoder"]
 
@@ -52,6 +55,32 @@ class SignalDecoder:
         """What was decoded of all batches, and what was not, and why."""
         with self._lock:
             return make_report(self._layout.messages, self._tables, self._frame_count)
+
+    def why_absent(self, name: str) -> str:
+        """Return why a signal has no samples.
+
+        Parameters
+        ----------
+        name : str
+            The signal: "Message.Signal" or "Signal".
+
+        Returns
+        -------
+        str
+            A line, for a name that the database does not have, too.
+        """
+        names = []
+        for message in self._layout.messages:
+            for signal in message.signals:
+                names.append(f"{message.name}.{signal}")
+                if name not in (signal, f"{message.name}.{signal}"):
+                    continue
+                what = f"{message.name}.{signal} has no samples"
+                seen = self.report.messages.get(message.name, 0)
+                if not seen:
+                    return f"{what}: no frame of the message was seen, id {message.id:X}"
+                return f"{what} in {seen:,} frames of its message: see the report"
+        return unknown_name(name, "signal", names)
 
     def feed(self, frames: FrameArray, *, out: Signals | None = None) -> Signals:
         """Decode a batch of frames.
@@ -156,9 +185,11 @@ def _columns(parts: list[_Part], out: Signals | None) -> list[_Columns]:
         count = 1 + sum(len(plan.records) for plan in part.plans)
         shape = count, -(-part.samples // _STEP) * _STEP
         old = used.get(part.name)
-        fits = old is not None and len(old) == shape[0] and old.shape[1] >= shape[1]
-        found.append(old if fits else None)
-        shapes.append((0, 0) if fits else shape)
+        # A table that another program may have must not change.
+        if old is not None and (len(old) != count or old.shape[1] < shape[1] or is_shared(old)):
+            old = None
+        found.append(old)
+        shapes.append(shape if old is None else (0, 0))
     new = _room(shapes)
     return [new_one if old is None else old for old, new_one in zip(found, new, strict=True)]
 
@@ -171,7 +202,7 @@ def _room(shapes: list[tuple[int, int]]) -> list[_Columns]:
         size = count * length
         if size > len(pool) - at:
             rest = sum(count * length for count, length in shapes[place:])
-            pool, at = np.empty(max(size, min(rest, _POOL)), np.uint64), 0
+            pool, at = shared_empty(max(size, min(rest, _POOL)), np.uint64), 0
         found.append(pool[at : at + size].reshape(count, length))
         at += size
     return found

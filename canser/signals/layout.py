@@ -133,7 +133,11 @@ class Layout:
                 plans.setdefault(plan.least_dlc, []).append(plan)
         self.pages.append(Page(name, message, dict(sorted(plans.items()))))
         self._page_records.append((0, 0, 0))
-        muxes = [each for each in signals if each.is_multiplexer and below.get(each.name)]
+        muxes = [
+            each
+            for each in signals
+            if each.is_multiplexer and (below.get(each.name) or each.choices)
+        ]
         if muxes and not depth:
             raise ValueError(
                 f"message {message.name}: multiplexers lie more than {MUX_DEPTH} deep, or select "
@@ -155,7 +159,7 @@ class Layout:
     ) -> tuple[Any, ...]:
         """Add the pages of a multiplexer, and return its record."""
         parts: dict[tuple[int, ...], list[SignalInfo]] = {}
-        for signal in below[mux.name]:
+        for signal in below.get(mux.name, ()):
             parts.setdefault(signal.pages, []).append(signal)
         by_value: dict[int, list[int]] = {}
         for values, signals in parts.items():
@@ -163,13 +167,16 @@ class Layout:
             number = self._add_page(message, label, signals, below, depth)
             for value in values:
                 by_value.setdefault(value, []).append(number)
+        # A value with a text is known, though it selects nothing.
+        for value in mux.choices or ():
+            by_value.setdefault(value % 2**64, [])
         first = len(self._cases)
         cases = list(_cases(by_value))
         for low, high, numbers in cases:
             self._cases.append((low, high, len(self._links), len(numbers)))
             self._links += numbers
         table = NO_TABLE
-        if mux.bit_count <= 8 and len(cases) < 2**16:
+        if mux.bit_count <= 8 and not mux.is_signed and len(cases) < 2**16:
             table = _TABLE_LEN * len(self._tables)
             by_number = np.zeros(_TABLE_LEN, np.uint16)
             for case, (low, high, _) in enumerate(cases):
@@ -183,14 +190,14 @@ def _cases(by_value: Mapping[int, list[int]]) -> Iterator[tuple[int, int, list[i
     low = high = -1
     pages: list[int] = []
     for value in sorted(by_value):
-        if pages and value == high + 1 and by_value[value] == pages:
+        if low >= 0 and value == high + 1 and by_value[value] == pages:
             high = value
             continue
-        if pages:
+        if low >= 0:
             yield low, high, pages
         low = high = value
         pages = by_value[value]
-    if pages:
+    if low >= 0:
         yield low, high, pages
 
 

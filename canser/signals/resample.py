@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canser._checks import choice, type_name
+from canser._core.arrow import shared_empty
 from canser._core.resample import Grid, are_rising, resample_linear, resample_previous
 from canser._frames import NO_TIME, refuse_mask
 from canser._quantities import LONGEST_S, is_duration, parse_ns
@@ -99,7 +100,8 @@ def resample(
     times = made.times
     if times is None:
         # np.arange(first, end, step) fails where the end is behind the last time of int64.
-        times = np.arange(made.count, dtype=np.int64)
+        times = shared_empty(made.count, np.int64)
+        times[:] = np.arange(made.count)
         times *= made.step
         times += made.first
     ts = times.view("M8[ns]")
@@ -112,7 +114,7 @@ def resample(
             valid_of[key] = np.empty(made.count, np.bool_)
         valid = valid_of[key]
         whole = own.bring(signal.values.astype(np.float64) if is_line else signal.values)
-        values = np.empty(made.count, whole.dtype)
+        values = shared_empty(made.count, whole.dtype)
         work = resample_linear if is_line else resample_previous
         work((own.times, whole), made, max_age_ns, (values, valid))
         if signal.raw is not None and not is_line:

@@ -1,77 +1,32 @@
 """Signals: what decoding with a database returns."""
 
 import datetime as dt
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from canser.signals.named import Named
 from canser.signals.report import DecodeReport
 from canser.signals.resample import resample
+from canser.signals.signal import Signal
+from canser.tables.signals import ManyTables, OneTable
 
-__all__ = ["Group", "Resampled", "Signal", "Signals", "find_signal"]
+__all__ = ["Group", "Resampled", "Signals"]
 
 
-class _Reports(Protocol):
-    """Has a report."""
+class _Source(Protocol):
+    """What has decoded signals."""
 
     @property
     def report(self) -> DecodeReport: ...
 
-
-@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Signal:
-    """The samples of one signal, given by `Signals`.
-
-    Attributes
-    ----------
-    name : str
-        The name in the database.
-    message : str
-        The name of its message.
-    group : str
-        The name of its group: signals of a group share their times.
-    ts : array of datetime64[ns], shape (n,)
-        The times of the frames. They start in 1970 if the times of the frames are no dates.
-    values : array of int64, uint64 or float64, shape (n,)
-        Physical values. Whole numbers if scale and offset are whole and all values fit.
-    unit : str
-        The unit, "" if the database has none.
-    choices : mapping of int to str, or None
-        The texts of raw values.
-    raw : array of int64, uint64 or float64, shape (n,), or None
-        The values before scale and offset, if they were asked for.
-    valid : array of bool, shape (n,), or None
-        After `resample`: where there is a value. Otherwise None, as all samples have one.
-    """
-
-    name: str
-    message: str
-    group: str
-    ts: npt.NDArray[np.datetime64]
-    values: npt.NDArray[Any]
-    unit: str = ""
-    choices: Mapping[int, str] | None = None
-    raw: npt.NDArray[Any] | None = None
-    valid: npt.NDArray[np.bool_] | None = None
-
-    @property
-    def full_name(self) -> str:
-        """The message and the name, with a point between."""
-        return f"{self.message}.{self.name}"
-
-    def __len__(self) -> int:
-        return len(self.values)
-
-    def __repr__(self) -> str:
-        unit = f", {self.unit}" if self.unit else ""
-        return f"<canser.Signal {self.full_name}{unit}: {len(self):,} samples>"
+    def why_absent(self, name: str) -> str: ...
 
 
-class Group(Mapping[str, Signal]):
+class Group(OneTable, Named):
     """Signals that share their times, by their names; given by `Signals.groups`.
 
     They are those of a message that are always there, or those of one page of it.
@@ -93,23 +48,14 @@ class Group(Mapping[str, Signal]):
         ts: npt.NDArray[np.datetime64],
         signals: Mapping[str, Signal],
     ) -> None:
+        super().__init__(signals)
         self.name, self.message, self.ts = name, message, ts
-        self._signals = dict(signals)
-
-    def __getitem__(self, name: str) -> Signal:
-        return find_signal(self._signals, name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._signals)
-
-    def __len__(self) -> int:
-        return len(self._signals)
 
     def __repr__(self) -> str:
         return f"<canser.Group {self.name}: {len(self)} signals, {len(self.ts):,} samples>"
 
 
-class Signals(Mapping[str, Signal]):
+class Signals(ManyTables, Named, Mapping[str, Signal]):
     """Signals by their names, returned by `Database.decode`.
 
     A name is "Message.Signal", or "Signal" where only one message has it.
@@ -123,16 +69,16 @@ class Signals(Mapping[str, Signal]):
     def __init__(
         self,
         groups: Mapping[str, Group],
-        source: DecodeReport | _Reports,
+        source: DecodeReport | _Source,
         columns: Mapping[str, npt.NDArray[np.uint64]] = MappingProxyType({}),
     ) -> None:
+        super().__init__(
+            {signal.full_name: signal for group in groups.values() for signal in group.values()}
+        )
         self.groups = dict(groups)
         self._source = source
         #: The columns of each group, to be used again: times, and values.
         self._columns = columns
-        self._signals = {
-            signal.full_name: signal for group in groups.values() for signal in group.values()
-        }
 
     @property
     def report(self) -> DecodeReport:
@@ -140,21 +86,9 @@ class Signals(Mapping[str, Signal]):
         source = self._source
         return source if isinstance(source, DecodeReport) else source.report
 
-    def __getitem__(self, name: str) -> Signal:
-        return find_signal(self._signals, name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._signals)
-
-    def __len__(self) -> int:
-        return len(self._signals)
-
-    def __contains__(self, name: object) -> bool:
-        try:
-            self[name]  # type: ignore[index]
-        except (KeyError, TypeError):
-            return False
-        return True
+    def _absent(self, name: str) -> str:
+        why_absent = getattr(self._source, "why_absent", None)  # a report does not tell it
+        return (why_absent and why_absent(name)) or super()._absent(name)
 
     def resample(
         self,
@@ -213,13 +147,13 @@ class Signals(Mapping[str, Signal]):
 
         Examples
         --------
-        >>> frames = canser.frames("123#401F01", "123#602001")
+        >>> frames = canser.frames("0A0#1027983A00000003", "0A0#7427983A00000004")
         >>> frames["ts"] = [0, 25_000_000]
         >>> signals = canser.Database("car.dbc").decode(frames)
         >>> signals.resample("10ms")["RPM"].values
         array([2000., 2000., 2000.])
         >>> signals.resample("10ms", how="linear")["RPM"].values
-        array([2000. , 2028.8, 2057.6])
+        array([2000., 2008., 2016.])
         >>> signals.resample("10ms", max_age="15ms")["RPM"].valid
         array([ True,  True, False])
         """
@@ -229,7 +163,7 @@ class Signals(Mapping[str, Signal]):
         return f"<canser.Signals: {len(self)} in {len(self.groups)} groups>"
 
 
-class Resampled(Mapping[str, Signal]):
+class Resampled(OneTable, Named):
     """Signals on one time base, by their names: made by `Signals.resample`.
 
     Names are those of `Signals`. Each signal has `valid`, an array of bool, shape (n,): False where
@@ -242,36 +176,8 @@ class Resampled(Mapping[str, Signal]):
     """
 
     def __init__(self, ts: npt.NDArray[np.datetime64], signals: Mapping[str, Signal]) -> None:
+        super().__init__(signals)
         self.ts = ts
-        self._signals = dict(signals)
-
-    def __getitem__(self, name: str) -> Signal:
-        return find_signal(self._signals, name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._signals)
-
-    def __len__(self) -> int:
-        return len(self._signals)
-
-    def __contains__(self, name: object) -> bool:
-        try:
-            self[name]  # type: ignore[index]
-        except (KeyError, TypeError):
-            return False
-        return True
 
     def __repr__(self) -> str:
         return f"<canser.Resampled: {len(self)} signals, {len(self.ts):,} times>"
-
-
-def find_signal(signals: Mapping[str, Signal], name: str) -> Signal:
-    """Return a signal by its full name, or by the end of it that only one has."""
-    if name in signals:
-        return signals[name]
-    found = [each for each in signals if each.rpartition(".")[2] == name]
-    if len(found) == 1:
-        return signals[found[0]]
-    if found:
-        raise KeyError(f"{name!r} is in several messages: {', '.join(found)}")
-    raise KeyError(f"no signal {name!r} was decoded")

@@ -1,6 +1,5 @@
 """Frames in pyarrow, polars, pandas and xarray, and back."""
 
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,8 @@ from canser.tables.build import (
     plain_columns,
 )
 from canser.tables.names import NATIVE, RECEIVED_TITLE, names_in
-from canser.tables.table import Table, table
+from canser.tables.packages import as_arrow, as_pandas, as_polars, load
+from canser.tables.table import table
 
 __all__ = [
     "from_arrow",
@@ -32,15 +32,6 @@ __all__ = [
 ]
 
 _Records = npt.NDArray[np.void]
-
-
-def _load(name: str) -> Any:
-    """Return a package, or raise ModuleNotFoundError with the command that installs it."""
-    try:
-        return import_module(name)
-    except ModuleNotFoundError:
-        text = f"{name} is not installed: pip install {name}"
-        raise ModuleNotFoundError(text, name=name) from None
 
 
 def to_arrow(records: _Records, **options: Any) -> Any:
@@ -70,7 +61,7 @@ def to_arrow(records: _Records, **options: Any) -> Any:
     >>> canser.to_arrow(canser.frames("123#01", "124#"))["id"].to_pylist()
     [291, 292]
     """
-    return _load("pyarrow").table(table(records, **options))
+    return as_arrow(table(records, **options))
 
 
 def to_polars(records: _Records, **options: Any) -> Any:
@@ -100,7 +91,7 @@ def to_polars(records: _Records, **options: Any) -> Any:
     >>> canser.to_polars(canser.frames("123#01", "124#"))["id"].to_list()
     [291, 292]
     """
-    return _load("polars").DataFrame(table(records, **options))
+    return as_polars(table(records, **options))
 
 
 def to_pandas(records: _Records, **options: Any) -> Any:
@@ -132,25 +123,7 @@ def to_pandas(records: _Records, **options: Any) -> Any:
     >>> canser.to_pandas(canser.frames("123#01", "124#"))["id"].tolist()
     [291, 292]
     """
-    pd = _load("pandas")
-    made = table(records, **options)
-    columns = {name: _series(pd, made, name, values) for name, values in made.own().items()}
-    return pd.DataFrame(columns, copy=False)
-
-
-def _series(pd: Any, made: Table, name: str, values: npt.NDArray[Any]) -> Any:
-    """Return a column as pandas takes it."""
-    if values.dtype.kind == "M":
-        return pd.DatetimeIndex(values).tz_localize("UTC")
-    if values.ndim == 2:
-        is_binary = made.format(name).startswith("w:")
-        return values.view(f"V{values.shape[1]}")[:, 0].tolist() if is_binary else values.tolist()
-    null = ~made.valid(name)
-    if null.any() and values.dtype.kind == "u":
-        return pd.arrays.IntegerArray(values, null)
-    if null.any() and values.dtype.kind == "b":
-        return pd.arrays.BooleanArray(values, null)
-    return values
+    return as_pandas(table(records, **options), copy=False)
 
 
 def to_xarray(records: _Records, **options: Any) -> Any:
@@ -182,7 +155,7 @@ def to_xarray(records: _Records, **options: Any) -> Any:
     >>> canser.to_xarray(canser.frames("123#01", "124#"))["id"].values
     array([291, 292], dtype=uint32)
     """
-    xr = _load("xarray")
+    xr = load("xarray")
     made = table(records, **options)
     variables = {}
     for name, values in made.own().items():
@@ -227,7 +200,7 @@ def from_arrow(
     >>> (canser.from_arrow(canser.to_arrow(frames)) == frames).all()
     np.True_
     """
-    pa = _load("pyarrow")
+    pa = load("pyarrow")
     if not hasattr(source, "__arrow_c_stream__"):
         raise TypeError(f"source must be a table of Arrow, not {type_name(source)}")
     try:
@@ -322,7 +295,7 @@ def from_pandas(
 def _numpy(series: Any, title: str, name: str) -> npt.NDArray[Any]:
     """Return a column of pandas as numpy has it."""
     if hasattr(series.dtype, "pyarrow_dtype"):
-        pa = _load("pyarrow")
+        pa = load("pyarrow")
         batch = pa.table({title: series.array.__arrow_array__()}).combine_chunks().to_batches()
         found = arrow_columns(pa, batch[0], {title: name})[name] if batch else np.zeros(0)
         return inverted(found) if title == RECEIVED_TITLE else found

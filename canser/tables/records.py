@@ -17,13 +17,13 @@ from canser._core.arrow import (
 )
 from canser._frames import NO_TIME, YEAR_2000_NS
 
-__all__ = ["record_columns"]
+__all__ = ["FORMATS", "record_columns"]
 
 # Numbers of which some are null.
 _NULLS: Final = {"f8": NULLS_NAN}
 
 # Arrow's formats of numbers, by the kind and the size of numpy's.
-_FORMATS: Final = {
+FORMATS: Final = {
     "u1": "C", "u2": "S", "u4": "I", "u8": "L", "i1": "c", "i2": "s", "i4": "i", "i8": "l",
     "f4": "f", "f8": "g",
 }  # fmt: skip
@@ -51,8 +51,8 @@ def _column(name: str, values: npt.NDArray[Any], as_list: bool) -> Column:
     elif values.ndim == 1 and kind in "US":
         texts = _utf8(name, values)
         column = Column(name, "U", texts if texts.itemsize else texts.astype("S1"), TEXT)
-    elif values.ndim == 1 and code in _FORMATS:
-        column = Column(name, _FORMATS[code], values, nulls=_NULLS.get(code, NULLS_NONE))
+    elif values.ndim == 1 and code in FORMATS:
+        column = Column(name, FORMATS[code], values, nulls=_NULLS.get(code, NULLS_NONE))
         if code == "i8" and name.endswith("_ns"):
             column = column._replace(format=_time_format(values), nulls=NULLS_NO_TIME)
         if code == "u1" and name == "channel":

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from canser._checks import flag, type_name
 from canser._core.arrow import (
+    DICTIONARY,
     FLAGS,
     LIST,
     NULLS_ALL,
@@ -55,6 +56,8 @@ class Table:
         self._names = [column.name for column in columns]
         self._formats = [column.format for column in columns]
         self._texts = {each.name: each.values for each in columns if each.kind == TEXT}
+        self._words = {each.name: list(each.texts) for each in columns if each.kind == DICTIONARY}
+        self._metadata = {each.name: dict(each.metadata or {}) for each in columns}
         self._dated = dated
 
     def __len__(self) -> int:
@@ -73,6 +76,9 @@ class Table:
         if name in self._texts:
             return self._texts[name].astype(str)
         values = self._columns.view(index, writeable=writeable)
+        if name in self._words:
+            texts: npt.NDArray[Any] = np.array(self._words[name] or [""])[values]
+            return texts
         if self._formats[index] == "b":
             return np.unpackbits(values, count=len(self), bitorder="little").astype(np.bool_)
         if self._formats[index].startswith("ts"):
@@ -130,6 +136,19 @@ class Table:
             There is no such column.
         """
         return self._formats[self._find(name)]
+
+    def codes(self, name: str) -> tuple[npt.NDArray[np.int32], list[str]] | None:
+        """Return a column of texts as a view of indices, and the texts; None: it has others.
+
+        For this package's own use, as `metadata`.
+        """
+        if name not in self._words:
+            return None
+        return self._columns.view(self._find(name)), self._words[name]
+
+    def metadata(self, name: str) -> dict[str, str]:
+        """Return the metadata of a column, for this package's own use."""
+        return dict(self._metadata[name])
 
     def _find(self, name: str) -> int:
         try:

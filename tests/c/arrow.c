@@ -110,6 +110,18 @@ static const canser_frame *make_frames(size_t count, uint8_t *channels, uint8_t 
     return frames;
 }
 
+static canser_column column_of(const char *name, const char *format, const void *values,
+                               ptrdiff_t stride, size_t size, int kind, int nulls)
+{
+    return (canser_column){.name = name,
+                           .format = format,
+                           .values = values,
+                           .stride = stride,
+                           .size = size,
+                           .kind = kind,
+                           .nulls = nulls};
+}
+
 /* Make a table of frames as the binding makes it. */
 static int frames_table(const canser_frame *frames, const uint8_t *channels,
                         const uint8_t *directions, size_t count, int is_dated, canser_table **table)
@@ -119,18 +131,18 @@ static int frames_table(const canser_frame *frames, const uint8_t *channels,
     const canser_frame *const f = frames ? frames : &none;
     const ptrdiff_t stride = sizeof *f;
     const canser_column columns[COLUMNS] = {
-        {"ts", is_dated ? "tsn:UTC" : "tDn", &f->ts, stride, 8, CANSER_COLUMN_VALUES,
-         CANSER_NULLS_NO_TIME},
-        {"channel", "C", channels ? channels : &untold, channels != NULL, 1, CANSER_COLUMN_VALUES,
-         channels ? CANSER_NULLS_NO_CHANNEL : CANSER_NULLS_ALL},
-        {"sent", "b", directions ? directions : &not_sent, directions != NULL, 1,
-         CANSER_COLUMN_FLAGS, directions ? CANSER_NULLS_NONE : CANSER_NULLS_ALL},
-        {"id", "I", &f->id, stride, 4, CANSER_COLUMN_VALUES, CANSER_NULLS_NONE},
-        {"ext", "b", &f->ext, stride, 1, CANSER_COLUMN_FLAGS, CANSER_NULLS_NONE},
-        {"rtr", "b", &f->rtr, stride, 1, CANSER_COLUMN_FLAGS, CANSER_NULLS_NONE},
-        {"err", "b", &f->err, stride, 1, CANSER_COLUMN_FLAGS, CANSER_NULLS_NONE},
-        {"dlc", "C", &f->dlc, stride, 1, CANSER_COLUMN_VALUES, CANSER_NULLS_NONE},
-        {"data", "w:8", f->data, stride, 8, CANSER_COLUMN_VALUES, CANSER_NULLS_NONE},
+        column_of("ts", is_dated ? "tsn:UTC" : "tDn", &f->ts, stride, 8, CANSER_COLUMN_VALUES,
+                  CANSER_NULLS_NO_TIME),
+        column_of("channel", "C", channels ? channels : &untold, channels != NULL, 1,
+                  CANSER_COLUMN_VALUES, channels ? CANSER_NULLS_NO_CHANNEL : CANSER_NULLS_ALL),
+        column_of("sent", "b", directions ? directions : &not_sent, directions != NULL, 1,
+                  CANSER_COLUMN_FLAGS, directions ? CANSER_NULLS_NONE : CANSER_NULLS_ALL),
+        column_of("id", "I", &f->id, stride, 4, CANSER_COLUMN_VALUES, CANSER_NULLS_NONE),
+        column_of("ext", "b", &f->ext, stride, 1, CANSER_COLUMN_FLAGS, CANSER_NULLS_NONE),
+        column_of("rtr", "b", &f->rtr, stride, 1, CANSER_COLUMN_FLAGS, CANSER_NULLS_NONE),
+        column_of("err", "b", &f->err, stride, 1, CANSER_COLUMN_FLAGS, CANSER_NULLS_NONE),
+        column_of("dlc", "C", &f->dlc, stride, 1, CANSER_COLUMN_VALUES, CANSER_NULLS_NONE),
+        column_of("data", "w:8", f->data, stride, 8, CANSER_COLUMN_VALUES, CANSER_NULLS_NONE),
     };
 
     return canser_table_new(columns, COLUMNS, count, table);
@@ -377,9 +389,9 @@ static void other_columns(size_t round)
         records[i].number = random_below(3) ? (double)i : (double)NAN;
     }
     const canser_column columns[] = {
-        {"text", "U", last->text, back, 5, CANSER_COLUMN_TEXT, CANSER_NULLS_NONE},
-        {"bytes", "+w:3", last->bytes, back, 3, CANSER_COLUMN_LIST, CANSER_NULLS_NONE},
-        {"number", "g", &last->number, back, 8, CANSER_COLUMN_VALUES, CANSER_NULLS_NAN},
+        column_of("text", "U", last->text, back, 5, CANSER_COLUMN_TEXT, CANSER_NULLS_NONE),
+        column_of("bytes", "+w:3", last->bytes, back, 3, CANSER_COLUMN_LIST, CANSER_NULLS_NONE),
+        column_of("number", "g", &last->number, back, 8, CANSER_COLUMN_VALUES, CANSER_NULLS_NAN),
     };
     check(!canser_table_new(columns, 3, count, &table), "new", round);
     check(!canser_table_schema(table, &schema), "schema", round);
@@ -416,6 +428,259 @@ static void other_columns(size_t round)
     canser_array_free(array);
     canser_table_release(table);
     check(!blocks, "blocks of memory are left", round);
+}
+
+/* A number of 32 bits of metadata. */
+static int32_t number_at(const char *p)
+{
+    int32_t number;
+
+    memcpy(&number, p, sizeof number);
+    return number;
+}
+
+/* Values that stay in a block, with metadata, and indices of texts, copied or in a block: all that
+ * was made is released in any order. */
+static void shared_columns(size_t round)
+{
+    enum { BLOCK, INDEX_BLOCK, TABLE, SCHEMA, ARRAY, STREAM, VALUES, INDICES, TEXTS, STEPS };
+    static const char pair[] = "\1\0\0\0\1\0\0\0k\3\0\0\0rpm", words[] = "OffOnReverse";
+    static const int32_t word_ends[] = {0, 3, 5, 5, 12};
+    const size_t room = random_below(600), first = room ? random_below(room) : 0;
+    const size_t count = room ? random_below(room - first + 1) : 0;
+    uint8_t *const mask = guarded(count) - count;
+    char *const metadata = (char *)guarded(sizeof pair - 1) - (sizeof pair - 1);
+    char *const bytes = (char *)guarded(sizeof words - 1) - (sizeof words - 1);
+    int32_t *const ends = (int32_t *)(void *)guarded(sizeof word_ends) - 5;
+    const bool is_masked = random_below(2), is_shared = random_below(2);
+    canser_block *block, *index_block;
+    canser_table *table;
+    struct ArrowSchema *schema;
+    struct ArrowArray *array, parts[3], from_stream;
+    struct ArrowArrayStream *stream;
+    int64_t null_count = 0;
+    bool same = true;
+    size_t order[STEPS];
+
+    check(!canser_block_new(room * sizeof(double), &block), "a block", round);
+    check(!canser_block_new(room * sizeof(int32_t), &index_block), "a block", round);
+    double *const numbers = (double *)(void *)canser_block_values(block);
+    int32_t *const indices = (int32_t *)(void *)canser_block_values(index_block);
+    check((uintptr_t)numbers % 64 == 0 && (uintptr_t)indices % 64 == 0 &&
+              is_padded((uint8_t *)numbers, room * sizeof *numbers),
+          "where a block begins and ends", round);
+    memcpy(metadata, pair, sizeof pair - 1);
+    memcpy(bytes, words, sizeof words - 1);
+    memcpy(ends, word_ends, sizeof word_ends);
+    for (size_t i = 0; i < room; i++) {
+        numbers[i] = (double)i;
+        indices[i] = (int32_t)(i % 4);
+    }
+    for (size_t i = 0; i < count; i++) {
+        mask[i] = (uint8_t)(random_below(3) ? random_below(256) : 0);
+        null_count += is_masked && !mask[i];
+    }
+    const canser_texts texts = {bytes, ends, 4};
+    canser_column columns[] = {
+        column_of("number", "g", numbers + first, 8, 8, CANSER_COLUMN_VALUES,
+                  is_masked ? CANSER_NULLS_MASK : CANSER_NULLS_NONE),
+        column_of("text", "i", indices + first, 4, 4, CANSER_COLUMN_DICTIONARY,
+                  is_masked ? CANSER_NULLS_MASK : CANSER_NULLS_NONE),
+    };
+    columns[0].mask = columns[1].mask = mask;
+    columns[0].metadata = metadata;
+    columns[0].metadata_len = sizeof pair - 1;
+    columns[0].block = block;
+    columns[1].texts = &texts;
+    columns[1].block = is_shared ? index_block : NULL;
+    check(!canser_table_new(columns, 2, count, &table), "new", round);
+    check(canser_block_owners(block) == 2, "two owners", round);
+    check(canser_block_owners(index_block) == (is_shared ? 2 : 1), "owners", round);
+    /* What only the call reads may be gone now. */
+    memset(mask, 0xA5, count);
+    memset(metadata, 0xA5, sizeof pair - 1);
+    memset(bytes, 0xA5, sizeof words - 1);
+    memset(ends, 0xA5, sizeof word_ends);
+    check(!canser_table_schema(table, &schema), "schema", round);
+    check(!canser_table_array(table, &array), "array", round);
+    check(!canser_table_stream(table, &stream), "stream", round);
+    check(!stream->get_next(stream, &from_stream), "a batch", round);
+
+    const struct ArrowSchema *const fields[] = {schema->children[0], schema->children[1]};
+    check(!memcmp(fields[0]->metadata, pair, sizeof pair - 1) &&
+              number_at(fields[0]->metadata) == 1 && !fields[0]->dictionary && !fields[1]->metadata,
+          "metadata", round);
+    check(!strcmp(fields[1]->format, "i") && fields[1]->dictionary &&
+              !strcmp(fields[1]->dictionary->format, "u") && !fields[1]->n_children,
+          "a dictionary's schema", round);
+    const struct ArrowArray *const number = array->children[0], *const text = array->children[1];
+    const struct ArrowArray *const dictionary = text->dictionary;
+    check(number->buffers[1] == numbers + first && number->null_count == null_count &&
+              from_stream.children[0]->buffers[1] == numbers + first,
+          "values that are shared", round);
+    check((text->buffers[1] == indices + first) == is_shared && text->null_count == null_count &&
+              text->n_buffers == 2 && !text->n_children,
+          "indices", round);
+    check(dictionary->length == 4 && dictionary->n_buffers == 3 && !dictionary->buffers[0] &&
+              !memcmp(dictionary->buffers[1], word_ends, sizeof word_ends) &&
+              !memcmp(dictionary->buffers[2], words, sizeof words - 1),
+          "texts", round);
+    for (size_t i = 0; i < count; i++)
+        same &= ((const int32_t *)text->buffers[1])[i] == (int32_t)((first + i) % 4);
+    check(same, "values of indices", round);
+
+    parts[0] = parts[1] = parts[2] = (struct ArrowArray){.release = NULL};
+    if (random_below(2))
+        parts[0] = move_array(array->children[0]);
+    if (random_below(2))
+        parts[2] = move_array(array->children[1]->dictionary);
+    if (random_below(2))
+        parts[1] = move_array(array->children[1]);
+    for (size_t i = 0; i < STEPS; i++)
+        order[i] = i;
+    for (size_t i = STEPS - 1; i; i--) {
+        const size_t k = random_below(i + 1), other = order[k];
+        order[k] = order[i];
+        order[i] = other;
+    }
+    for (size_t i = 0; i < STEPS; i++) {
+        struct ArrowArray *left = NULL;
+        switch (order[i]) {
+        case BLOCK:
+            canser_block_release(block);
+            break;
+        case INDEX_BLOCK:
+            canser_block_release(index_block);
+            break;
+        case TABLE:
+            canser_table_release(table);
+            break;
+        case SCHEMA:
+            canser_schema_free(schema);
+            break;
+        case ARRAY:
+            canser_array_free(array);
+            break;
+        case STREAM:
+            canser_array_stream_free(stream);
+            break;
+        default:
+            left = &parts[order[i] - VALUES];
+        }
+        if (left && left->release) {
+            if (left == &parts[0] && count)
+                check(((const double *)left->buffers[1])[count - 1] == (double)(first + count - 1),
+                      "a value whose table may be gone", round);
+            if (left == &parts[2])
+                check(!memcmp(left->buffers[2], words, sizeof words - 1),
+                      "texts whose table may be gone", round);
+            left->release(left);
+        }
+    }
+    check(!count || ((const double *)from_stream.children[0]->buffers[1])[0] == (double)first,
+          "a value, the last of all", round);
+    from_stream.release(&from_stream);
+    check(!blocks, "blocks of memory are left", round);
+}
+
+/* What a block and a dictionary must not be. */
+static void mistakes_of_sharing(void)
+{
+    static const int32_t ends[] = {0, 1}, wrong_ends[] = {0, -1};
+    const canser_texts texts = {"a", ends, 1}, wrong_texts = {"a", wrong_ends, 1},
+                       no_ends = {"a", NULL, 0}, no_bytes = {NULL, ends, 1},
+                       too_many = {"a", ends, (size_t)INT32_MAX + 1};
+    canser_block *block = (void *)&block;
+    canser_table *table;
+
+    check(canser_block_new(1, NULL) == CANSER_NULL, "no block", 0);
+    for (size_t few = 0; few < 20; few++)
+        check(canser_block_new(SIZE_MAX >> few, &block) == CANSER_NO_MEMORY && !block,
+              "a block that is too large", few);
+    fails_at = calls = 0;
+    check(canser_block_new(1, &block) == CANSER_NO_MEMORY && !block, "no memory for a block", 0);
+    fails_at = -1;
+    check(!canser_block_values(NULL) && !canser_block_owners(NULL), "no block", 1);
+    canser_block_share(NULL);
+    canser_block_release(NULL);
+    check(!canser_block_new(0, &block) && canser_block_values(block), "an empty block", 0);
+    canser_block_release(block);
+
+    check(!canser_block_new(80, &block), "a block", 0);
+    uint8_t *const values = canser_block_values(block);
+    for (size_t wrong = 0; wrong < 16; wrong++) {
+        static const int statuses[] = {CANSER_RANGE, CANSER_RANGE, CANSER_RANGE, CANSER_RANGE,
+                                       CANSER_RANGE, CANSER_RANGE, CANSER_NULL,  CANSER_NULL,
+                                       CANSER_NULL,  CANSER_RANGE, CANSER_RANGE, CANSER_RANGE,
+                                       CANSER_NULL,  CANSER_OK,    CANSER_OK,    CANSER_OK};
+        canser_column column =
+            column_of("a", "l", values, 8, 8, CANSER_COLUMN_VALUES, CANSER_NULLS_NONE);
+        size_t count = 10;
+        column.block = block;
+        if (wrong >= 6 && wrong <= 11) {
+            column = column_of("a", "i", values, 4, 4, CANSER_COLUMN_DICTIONARY, CANSER_NULLS_NONE);
+            column.texts = &texts;
+        }
+        switch (wrong) {
+        case 0: /* one value behind the end */
+            count = 11;
+            break;
+        case 1:
+            column.values = values + 1;
+            break;
+        case 2:
+            column.values = values - 8;
+            break;
+        case 3:
+            column.stride = 16;
+            break;
+        case 4:
+            column.kind = CANSER_COLUMN_FLAGS;
+            break;
+        case 5:
+            column.kind = CANSER_COLUMN_TEXT;
+            break;
+        case 6:
+            column.texts = NULL;
+            break;
+        case 7:
+            column.texts = &no_ends;
+            break;
+        case 8:
+            column.texts = &no_bytes;
+            break;
+        case 9:
+            column.texts = &wrong_texts;
+            break;
+        case 10:
+            column.texts = &too_many;
+            break;
+        case 11:
+            column.size = 8;
+            break;
+        case 12:
+            column.nulls = CANSER_NULLS_MASK;
+            break;
+        case 13: /* nothing behind the end */
+            column.values = values + 80;
+            count = 0;
+            break;
+        case 14:
+            column.values = values + 72;
+            column.stride = 0;
+            count = 1;
+            break;
+        default:
+            break;
+        }
+        check(canser_table_new(&column, 1, count, &table) == statuses[wrong] &&
+                  !table == (statuses[wrong] != CANSER_OK),
+              "a column of a block", wrong);
+        canser_table_release(table);
+        check(canser_block_owners(block) == 1, "one owner", wrong);
+    }
+    canser_block_release(block);
+    check(!blocks, "blocks of memory are left", 2);
 }
 
 /* Wherever memory ends, the call says so, and what was there before is given back. */
@@ -465,15 +730,16 @@ static void mistakes(void)
     check(frames_table(frames, NULL, NULL, 1, 0, NULL) == CANSER_NULL, "no table", 0);
     check(canser_table_new(NULL, 1, 1, &table) == CANSER_NULL && !table, "no columns", 0);
     for (int wrong = 0; wrong < 7; wrong++) {
-        canser_column column = {"a", "C", frames, 1, 1, CANSER_COLUMN_VALUES, CANSER_NULLS_NONE};
+        canser_column column =
+            column_of("a", "C", frames, 1, 1, CANSER_COLUMN_VALUES, CANSER_NULLS_NONE);
         static const int statuses[] = {CANSER_NULL,  CANSER_NULL,  CANSER_NULL, CANSER_RANGE,
                                        CANSER_RANGE, CANSER_RANGE, CANSER_RANGE};
         column.name = wrong == 0 ? NULL : column.name;
         column.format = wrong == 1 ? NULL : column.format;
         column.values = wrong == 2 ? NULL : column.values;
         column.size = wrong == 3 ? 0 : column.size;
-        column.kind = wrong == 4 ? CANSER_COLUMN_TEXT + 1 : column.kind;
-        column.nulls = wrong == 5 ? CANSER_NULLS_NAN + 1 : column.nulls;
+        column.kind = wrong == 4 ? CANSER_COLUMN_DICTIONARY + 1 : column.kind;
+        column.nulls = wrong == 5 ? CANSER_NULLS_MASK + 1 : column.nulls;
         column.nulls = wrong == 6 ? CANSER_NULLS_NO_TIME : column.nulls;
         check(canser_table_new(&column, 1, 1, &table) == statuses[wrong] && !table, "a column",
               (size_t)wrong);
@@ -500,6 +766,7 @@ static void mistakes(void)
 /* Threads that release parts of one array, and export and release the table they share. */
 typedef struct {
     canser_table *table;
+    canser_block *block;
     struct ArrowArray part;
     struct ArrowSchema part_schema;
 } share;
@@ -510,6 +777,10 @@ static void *release_share(void *argument)
     struct ArrowArray *array;
 
     check(own->part.length == 3, "a part", 0);
+    canser_block_share(own->block);
+    check(canser_block_values(own->block)[0] == 7, "a value of a block in a thread", 0);
+    canser_block_release(own->block);
+    canser_block_release(own->block);
     own->part.release(&own->part);
     own->part_schema.release(&own->part_schema);
     check(!canser_table_array(own->table, &array), "array in a thread", 0);
@@ -526,12 +797,16 @@ static void in_threads(size_t round)
     struct ArrowArray *array;
     struct ArrowSchema *schema;
     canser_table *table;
+    canser_block *block;
 
+    check(!canser_block_new(1, &block), "a block", round);
+    canser_block_values(block)[0] = 7;
     check(!frames_table(frames, NULL, NULL, 3, 0, &table), "new", round);
     check(!canser_table_array(table, &array), "array", round);
     check(!canser_table_schema(table, &schema), "schema", round);
     for (int i = 0; i < THREADS; i++) {
-        shares[i] = (share){table, *array->children[i], *schema->children[i]};
+        canser_block_share(block);
+        shares[i] = (share){table, block, *array->children[i], *schema->children[i]};
         array->children[i]->release = NULL;
         schema->children[i]->release = NULL;
     }
@@ -541,6 +816,7 @@ static void in_threads(size_t round)
             exit(2);
         }
     }
+    canser_block_release(block);
     canser_array_free(array);
     canser_schema_free(schema);
     for (int i = 0; i < THREADS; i++)
@@ -558,6 +834,7 @@ int main(int argc, char **argv)
     channels_end = guarded(FRAMES_MAX);
     directions_end = guarded(FRAMES_MAX);
     mistakes();
+    mistakes_of_sharing();
     without_memory();
     for (size_t round = 0; round < rounds; round++)
         one_round(round);
@@ -565,6 +842,8 @@ int main(int argc, char **argv)
         in_threads(round);
     for (size_t round = 0; round < TURNS; round++)
         other_columns(round);
+    for (size_t round = 0; round < 2 * TURNS; round++)
+        shared_columns(round);
     printf("%llu passed, %llu failed\n", (unsigned long long)passed, (unsigned long long)failed);
     return failed != 0;
 }
