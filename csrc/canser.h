@@ -1053,6 +1053,10 @@ typedef struct {
     uint32_t first_mux;
     uint32_t mux_count;
     uint32_t full_dlc; /* shorter frames do not have all of it */
+    /* Of the first page of a message: frames that do not have all of it and of the pages that they
+     * select, if it has multiplexers; and frames with a value that no case has. */
+    uint64_t short_count;
+    uint64_t unknown_count;
 } canser_page;
 
 /* A multiplexer: a number whose value selects pages. */
@@ -1073,38 +1077,31 @@ typedef struct {
     uint32_t link_count;
 } canser_case;
 
+/* An id that was seen, or that a message has; in an open hash. */
 typedef struct {
-    uint64_t short_count;   /* frames without all that they should have */
-    uint64_t unknown_count; /* frames with a value of a multiplexer that no case has */
-    uint32_t page;          /* what it always has */
-} canser_message;
-
-/* An id that was seen, or that a message has; in an open hash. A free one has the flag 0. */
-typedef struct {
-    uint64_t count; /* frames */
-    uint32_t id;
-    uint32_t message; /* its number, or CANSER_NO_MESSAGE */
-    uint32_t ext;
-    uint32_t is_used;
+    uint32_t key;   /* the id, with bit 31 set if it is an extended one */
+    uint32_t page;  /* that of its message and one more; CANSER_NO_MESSAGE; 0: the place is free */
+    uint64_t count; /* frames, if it has no message */
 } canser_known_id;
 
 /* A parameter group of J1939, and the message of its frames: priority and source do not count, and
  * the destination does not where it is part of the id. */
 typedef struct {
     uint32_t pgn;
-    uint32_t message;
+    uint32_t page; /* of the message */
 } canser_pgn;
 
 /* A database, in the caller's memory, with all that is counted. The caller sets the arrays, and
  * and numbers in them that are in range; it zeroes what is counted. */
 typedef struct {
     canser_known_id *ids;
-    size_t id_cap; /* a power of two, at least twice the ids of the database */
+    size_t id_cap;   /* a power of two, at least twice the ids of the database */
+    uint32_t spread; /* any odd number: it spreads the ids over their places. One that is not known
+                      * before keeps ids from being made that meet in few places */
     size_t id_count;
     size_t id_most; /* further ids are not kept: their frames are decoded, but not told apart */
     const canser_pgn *pgns; /* the smallest first */
     size_t pgn_count;
-    canser_message *messages;
     canser_page *pages;
     const canser_mux *muxes;
     const canser_case *cases;
@@ -1115,7 +1112,7 @@ typedef struct {
     const canser_signal *signals;
     uint64_t remote_count; /* remote frames, which have no data */
     uint64_t error_count;
-    uint64_t other_count; /* frames without a message whose id is not kept */
+    uint64_t other_count; /* frames without a message whose id is not kept, or has over 29 bits */
 } canser_database;
 
 /* Count the frames of each id, message and page: so the caller learns what room each group needs.

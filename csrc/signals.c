@@ -1,11 +1,10 @@
 /* Signals: the numbers that a database finds in the data of frames.
  *
- * One pass over the frames. Each frame's data and time go to the groups of its message, and of the
- * pages that its multiplexers select. When a group has a block of them, each of its signals is
- * decoded in a loop of its own, in which nothing depends on the frame. */
+ * Frames are counted first, so that each column gets just the room that it needs. Then each frame's
+ * data and time go to the groups of its message, and of the pages that its multiplexers select.
+ * When a group has a block of them, each of its signals is decoded in a loop of its own, in which
+ * nothing depends on the frame. */
 #include "protocol.h"
-
-#define SPREAD UINT32_C(0x9E3779B1) /* 2^32 divided by the golden ratio */
 
 #define BLOCK CANSER_SIGNAL_BLOCK
 
@@ -218,18 +217,36 @@ CANSER_INLINE bool keep(const canser_database *self, canser_group *group, const 
 
 /* ---- The message of a frame. */
 
-/* Return the place of an id in a table: its own, or a free one. */
-CANSER_INLINE canser_known_id *find_id(canser_known_id *ids, size_t last, uint32_t id, uint32_t ext)
+CANSER_INLINE uint32_t key_of(const canser_frame *frame)
 {
-    size_t at = (size_t)((uint64_t)((id ^ ext << 31) * SPREAD) * (last + 1) >> 32);
-
-    while (ids[at].is_used && (ids[at].id != id || ids[at].ext != ext))
-        at = (at + 1) & last;
-    return &ids[at];
+    return frame->id | (uint32_t)frame->ext << 31;
 }
 
-/* Return the message of the parameter group of an extended id, or CANSER_NO_MESSAGE. */
-static uint32_t find_pgn(const canser_database *self, uint32_t id)
+/* Where ids are looked up. A copy of this stays in registers. */
+typedef struct {
+    canser_known_id *ids;
+    uint64_t cap;
+    uint32_t spread;
+} id_table;
+
+CANSER_INLINE id_table table_of(const canser_database *self)
+{
+    return (id_table){self->ids, self->id_cap, self->spread};
+}
+
+/* Return the place of an id: its own, or a free one. */
+CANSER_INLINE canser_known_id *find_id(id_table table, uint32_t key)
+{
+    /* The upper bits of the product depend on all bits of the key. */
+    uint64_t at = (uint64_t)(key * table.spread) * table.cap >> 32;
+
+    while (table.ids[at].key != key && table.ids[at].page)
+        at = (at + 1) & (table.cap - 1);
+    return &table.ids[at];
+}
+
+/* Return the page of the parameter group of an extended id and one more, or CANSER_NO_MESSAGE. */
+CANSER_COLD uint32_t find_pgn(const canser_database *self, uint32_t id)
 {
     uint32_t pgn = id >> 8 & 0x3ffff;
     size_t low = 0;
@@ -245,19 +262,14 @@ static uint32_t find_pgn(const canser_database *self, uint32_t id)
         else
             high = middle;
     }
-    return low < self->pgn_count && self->pgns[low].pgn == pgn ? self->pgns[low].message
+    return low < self->pgn_count && self->pgns[low].pgn == pgn ? self->pgns[low].page + 1
                                                                : CANSER_NO_MESSAGE;
 }
 
-/* Return the message of an id that is not in the table. */
-CANSER_COLD uint32_t message_of_new(const canser_database *self, const canser_frame *frame)
+/* Whether a frame may have a message: a data frame, with an id of at most 29 bits. */
+CANSER_INLINE bool is_usual(const canser_frame *frame)
 {
-    return frame->ext ? find_pgn(self, frame->id) : CANSER_NO_MESSAGE;
-}
-
-CANSER_INLINE bool has_data(const canser_frame *frame)
-{
-    return !(frame->err | frame->rtr);
+    return !(frame->err | frame->rtr | (frame->id >> 29));
 }
 
 CANSER_INLINE uint32_t dlc_of(const canser_frame *frame)
@@ -371,19 +383,20 @@ static int check(const canser_database *self, const canser_frame *frames, const 
     return CANSER_OK;
 }
 
-/* Count a frame whose id is not in the table. Returns false if there is no place for it. */
-CANSER_COLD bool add_id(canser_database *self, canser_known_id *place, const canser_frame *frame,
-                        uint32_t *message)
+/* Find the page of a frame whose id is not in the table, and one more; keep the id. Returns false
+ * if there is no place for it. */
+CANSER_COLD bool add_id(canser_database *self, const canser_frame *frame, uint32_t *page)
 {
-    *message = message_of_new(self, frame);
+    *page = frame->ext ? find_pgn(self, frame->id) : CANSER_NO_MESSAGE;
     if (self->id_count >= self->id_most) {
-        self->other_count += *message == CANSER_NO_MESSAGE;
+        self->other_count += *page == CANSER_NO_MESSAGE;
         return true;
     }
     if (2 * (self->id_count + 1) > self->id_cap)
         return false;
     self->id_count++;
-    *place = (canser_known_id){1, frame->id, *message, frame->ext, 1};
+    *find_id(table_of(self), key_of(frame)) =
+        (canser_known_id){key_of(frame), *page, *page == CANSER_NO_MESSAGE};
     return true;
 }
 
@@ -396,6 +409,7 @@ int canser_database_count(canser_database *self, const canser_frame *frames, siz
                           uint16_t *routes, size_t *used)
 {
     const int status = check(self, frames, routes, frame_count);
+    id_table table;
     size_t i = 0;
 
     if (used)
@@ -404,52 +418,53 @@ int canser_database_count(canser_database *self, const canser_frame *frames, siz
         return status;
     if (!used)
         return CANSER_NULL;
+    table = table_of(self);
     for (; i < frame_count; i++) {
         const canser_frame *const frame = &frames[i];
         canser_known_id *known;
-        canser_message *message;
         canser_page *page;
         uint32_t number;
         lack found = {false, false};
 
         routes[i] = CANSER_NO_ROUTE;
-        if (!has_data(frame)) {
+        if (!is_usual(frame)) {
             self->error_count += frame->err;
-            self->remote_count += !frame->err;
+            self->remote_count += frame->rtr && !frame->err;
+            self->other_count += !frame->rtr && !frame->err;
             continue;
         }
-        known = find_id(self->ids, self->id_cap - 1, frame->id, frame->ext);
-        number = known->message;
-        if (CANSER_LIKELY(known->is_used))
+        known = find_id(table, key_of(frame));
+        number = known->page;
+        if (number == CANSER_NO_MESSAGE) {
             known->count++;
-        else if (!add_id(self, known, frame, &number))
-            break;
-        if (number == CANSER_NO_MESSAGE)
             continue;
-        message = &self->messages[number];
-        routes[i] = route_to(message->page);
-        page = &self->pages[message->page];
+        }
+        if (!number) {
+            if (!add_id(self, frame, &number))
+                break;
+            if (number == CANSER_NO_MESSAGE)
+                continue;
+        }
+        routes[i] = route_to(number - 1);
+        page = &self->pages[number - 1];
         if (CANSER_LIKELY(!page->mux_count)) {
             page->dlcs[dlc_of(frame)]++;
-            message->short_count += dlc_of(frame) < page->full_dlc;
             continue;
         }
-        count_page(self, message->page, frame, &found);
-        message->short_count += found.is_short;
-        message->unknown_count += found.is_unknown;
+        count_page(self, number - 1, frame, &found);
+        page->short_count += found.is_short;
+        page->unknown_count += found.is_unknown;
     }
     *used = i;
     return CANSER_OK;
 }
 
-/* Return the page of the message of a frame, when its route has no room for it. */
+/* Return the page of a frame's message and one more, when its route has no room for it. */
 CANSER_COLD uint32_t far_page(const canser_database *self, const canser_frame *frame)
 {
-    const canser_known_id *const known =
-        find_id(self->ids, self->id_cap - 1, frame->id, frame->ext);
-    const uint32_t number = known->is_used ? known->message : message_of_new(self, frame);
+    const uint32_t page = find_id(table_of(self), key_of(frame))->page;
 
-    return number == CANSER_NO_MESSAGE ? CANSER_NO_MESSAGE : self->messages[number].page;
+    return page || !frame->ext ? page : find_pgn(self, frame->id);
 }
 
 int canser_database_decode(canser_database *self, const canser_frame *frames, size_t frame_count,
@@ -467,8 +482,13 @@ int canser_database_decode(canser_database *self, const canser_frame *frames, si
 
         if (number == CANSER_NO_ROUTE)
             continue;
-        if (number == CANSER_FAR_ROUTE && (number = far_page(self, frame)) == CANSER_NO_MESSAGE)
-            continue;
+        if (number == CANSER_FAR_ROUTE) {
+            const uint32_t far = far_page(self, frame);
+
+            if (!far || far == CANSER_NO_MESSAGE)
+                continue;
+            number = far - 1;
+        }
         page = &self->pages[number];
         if (CANSER_LIKELY(page->group_count == 1 && !page->mux_count)) {
             canser_group *const group = &self->groups[page->first_group];
@@ -491,8 +511,8 @@ int canser_database_move_ids(canser_database *self, canser_known_id *ids, size_t
     if (!is_fit(id_cap) || self->id_count >= id_cap)
         return CANSER_RANGE;
     for (size_t i = 0; i < self->id_cap; i++)
-        if (self->ids[i].is_used)
-            *find_id(ids, id_cap - 1, self->ids[i].id, self->ids[i].ext) = self->ids[i];
+        if (self->ids[i].page)
+            *find_id((id_table){ids, id_cap, self->spread}, self->ids[i].key) = self->ids[i];
     self->ids = ids;
     self->id_cap = id_cap;
     return CANSER_OK;

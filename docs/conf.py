@@ -8,6 +8,7 @@ sys.path.insert(0, str(HERE))
 
 import canser  # noqa: E402 - the path comes first
 import generate  # noqa: E402 - beside this file
+import pictures  # noqa: E402
 
 project = "canser"
 author = "the canser developers"
@@ -37,3 +38,4 @@ html_theme_options = {"navigation_with_keys": True}
 html_copy_source = False
 
 generate.write_pages(HERE / "generated")
+pictures.write_pictures(HERE / "generated" / "pictures")

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 import canser
+from canser import plots
 from canser.commands import COMMANDS
 from canser.commands.cli import parser
 from canser.files.formats import BUILT_IN
@@ -231,6 +232,8 @@ def python() -> Iterator[str]:
     for heading in ORDER:
         yield f"## {heading}\n"
         yield from sections[heading]
+    yield "## Pictures\n"
+    yield from (directive(f"plots.{name}", getattr(plots, name)) for name in plots.__all__)
 
 
 def directive(name: str, thing: object) -> str:

@@ -26,7 +26,7 @@ FLOORS = [
     ["files"],
     ["live"],
     ["_display", "analysis", "signals"],
-    ["", "monitoring", "python_can"],
+    ["", "monitoring", "plots", "python_can"],
     ["commands"],
     ["__main__"],
 ]
@@ -44,6 +44,16 @@ WHERE_USED = {
     "cantools": {"canser.signals.dbc"},
     "backports": {"canser.files.packed"},
     "compression": {"canser.files.packed"},  # Python's own from 3.14 on
+    "matplotlib": {
+        "canser.commands.plot",
+        *(
+            f"canser.plots._{name}"
+            for name in (
+                *("compare", "ids", "load", "overview", "payload", "periods", "raster"),
+                *("samples", "signals", "stream", "style", "timeline"),
+            )
+        ),
+    },
     "pyarrow": {"canser.files.columns", "canser.files.parquet"},
     "isal": {"canser.files.blf", "canser.files.packed"},
     "rich": {"canser._progress", "canser.monitoring._table", "canser.monitoring.monitor"},

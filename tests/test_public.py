@@ -115,7 +115,7 @@ NAMES = [
 ]
 
 # Besides `canser` itself. All else is private: by its name, or by the first word of its docstring.
-MODULES = {"adapters", "errors", "python_can", "simulation"}
+MODULES = {"adapters", "errors", "plots", "python_can", "simulation"}
 
 
 def test_the_names_are_these() -> None:

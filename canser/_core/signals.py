@@ -1,5 +1,6 @@
 """Signals in the data of frames: C's work for each frame, and its memory."""
 
+import secrets
 from typing import Any, Final
 
 import numpy as np
@@ -14,7 +15,6 @@ __all__ = [
     "FLOATS",
     "GROUP_DTYPE",
     "KNOWN_ID_DTYPE",
-    "MESSAGE_DTYPE",
     "MUX_DEPTH",
     "MUX_DTYPE",
     "NO_MESSAGE",
@@ -73,7 +73,6 @@ GROUP_DTYPE: Final = _struct("canser_group")
 PAGE_DTYPE: Final = _struct("canser_page")
 MUX_DTYPE: Final = _struct("canser_mux")
 CASE_DTYPE: Final = _struct("canser_case")
-MESSAGE_DTYPE: Final = _struct("canser_message")
 KNOWN_ID_DTYPE: Final = _struct("canser_known_id")
 PGN_DTYPE: Final = _struct("canser_pgn")
 
@@ -97,14 +96,13 @@ class SignalTables:
         *,
         ids: Records,
         pgns: Records,
-        messages: Records,
         pages: Records,
         muxes: Records,
         cases: Records,
         links: npt.NDArray[np.uint32],
         tables: npt.NDArray[np.uint16],
     ) -> None:
-        self.messages, self.pages = messages.copy(), pages.copy()
+        self.pages = pages.copy()
         constant: dict[str, npt.NDArray[Any]] = {
             "pgns": pgns,
             "muxes": muxes,
@@ -114,12 +112,12 @@ class SignalTables:
         }
         self._constant = constant
         self._database = database = ffi.new("canser_database *")
-        self._point("messages", self.messages)
         self._point("pages", self.pages)
         for name, array in constant.items():
             self._point(name, array)
         database.pgn_count = len(pgns)
         database.id_count = len(ids)
+        database.spread = secrets.randbits(32) | 1
         database.id_most = max(_IDS_MOST, 2 * len(ids))
         self._used = ffi.new("size_t *")
         # Ids are put in their places by moving them out of a table in which they are in a row.
@@ -129,9 +127,9 @@ class SignalTables:
         self._move_ids(64)
 
     @property
-    def ids(self) -> Records:
-        """All ids that are kept, of KNOWN_ID_DTYPE, in no order."""
-        ids: Records = self._ids[self._ids["is_used"] != 0]
+    def unknown_ids(self) -> Records:
+        """The ids without a message that are kept, of KNOWN_ID_DTYPE, in no order."""
+        ids: Records = self._ids[self._ids["page"] == NO_MESSAGE]
         return ids
 
     @property
@@ -150,7 +148,7 @@ class SignalTables:
         return int(self._database.other_count)
 
     def count(self, frames: FrameArray) -> tuple[Routes, npt.NDArray[np.uint64]]:
-        """Count contiguous frames: in `ids`, `messages` and `pages`.
+        """Count contiguous frames: in `unknown_ids` and `pages`.
 
         Returns where each belongs, and how many of these frames each page has by their dlc, an
         array of shape (pages, 9).

@@ -13,7 +13,7 @@ from canser._core.text import Codes
 from canser._frames import NO_TIME, FrameArray, check_codes, contiguous_frames
 from canser.analysis.periods import Intervals, find_pattern
 
-__all__ = ["ID_STATS_DTYPE", "IdStats", "IdStatsArray", "id_stats", "in_order"]
+__all__ = ["ID_STATS_DTYPE", "IdStats", "IdStatsArray", "id_stats", "in_order", "kept_intervals"]
 
 IdStatsArray = npt.NDArray[np.void]
 
@@ -260,6 +260,11 @@ def _as_intervals(steps: npt.NDArray[np.int64] | npt.NDArray[np.uint64]) -> Inte
     return Intervals(sums / counts, counts.astype(np.int64))
 
 
+def kept_intervals(rows: Rows, index: int) -> Intervals:
+    """Return the intervals of a row that keeps them."""
+    return _as_intervals(rows.steps(index))
+
+
 def in_order(rows: npt.NDArray[np.void]) -> npt.NDArray[np.intp]:
     """Return the order of rows: standard ids, extended ones, error frames, each by their id."""
     return np.lexsort([rows[name] for name in ("channel", "rtr", "id", "ext", "err")])
@@ -268,7 +273,7 @@ def in_order(rows: npt.NDArray[np.void]) -> npt.NDArray[np.intp]:
 def finish(rows: Rows) -> IdStatsArray:
     """Return the rows in their order, with what their kept steps tell."""
     made = _counted(rows)
-    _add_patterns(made, [_as_intervals(rows.steps(i)) for i in range(len(rows))], rows.unit_ns)
+    _add_patterns(made, [kept_intervals(rows, i) for i in range(len(rows))], rows.unit_ns)
     return _sorted(made)
 
 

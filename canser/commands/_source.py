@@ -9,7 +9,7 @@ from typing import BinaryIO, Final
 
 import numpy as np
 
-from canser._frames import FRAME_DTYPE, match
+from canser._frames import FRAME_DTYPE, FrameArray, match
 from canser._input import Source
 from canser._progress import Progress
 from canser._protocols import TS_UNITS, protocols
@@ -233,13 +233,20 @@ def read_options(args: argparse.Namespace) -> ReadOptions:
 
 
 def open_source(
-    args: argparse.Namespace, progress: Progress | None = None, *, raw_only: bool = False
+    args: argparse.Namespace,
+    progress: Progress | None = None,
+    *,
+    raw_only: bool = False,
+    out: FrameArray | None = None,
 ) -> Blocks:
-    """Open IN as the arguments say; `raw_only`: only raw bytes need the protocol."""
+    """Open IN as the arguments say; `raw_only`: only raw bytes need the protocol.
+
+    `out`: the array that is filled again for each block.
+    """
     with options_named():
         return Blocks(
             opened(args.sources),
-            replace(read_options(args), raw_only=raw_only),
+            replace(read_options(args), raw_only=raw_only, out=out),
             format=args.source_format,
             progress=progress,
             sort=args.sort,

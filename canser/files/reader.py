@@ -60,6 +60,8 @@ class Reader:
         A remark with the protocol that "auto" has found, "" if the protocol was given.
     bytes_done : int
         Bytes of the file that were read.
+    gap_count : int
+        Gaps of a recording so far: places where bytes of the line are missing.
     has_buses : bool
         Whether the format names the bus of each frame.
     tags : Tagged
@@ -75,6 +77,7 @@ class Reader:
     recording: RecordingInfo | None = None
     found = ""
     bytes_done = 0
+    gap_count = 0
     has_buses = False
     tags: Tagged | None = None
     channel_names: dict[int, str] = {}  # noqa: RUF012 - never changed here

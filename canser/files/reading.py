@@ -475,6 +475,11 @@ class Blocks(Uncopied, Iterator[FrameArray]):
         return self._done + (self._readers[-1].bytes_done if self._readers else 0)
 
     @property
+    def gap_count(self) -> int:
+        """Gaps of the recordings so far, for this package's own use."""
+        return sum(reader.gap_count for reader in self._readers)
+
+    @property
     def name(self) -> str:
         """The name of the current file, as messages write it."""
         return self._inputs[-1].name

@@ -86,8 +86,10 @@ class RecordingReader(Reader):
         """Yield the frames, block by block. A packet that the end cuts off is not completed."""
         for out, count in self._recorded.run(self._room):
             self.bytes_done = self._recorded.bytes_done
+            self.gap_count = self._recorded.gap_count
             yield out[:count]
         self.bytes_done = self._recorded.bytes_done
+        self.gap_count = self._recorded.gap_count
 
     def line_bytes(self) -> Iterator[memoryview]:
         """Yield the bytes of the line as they were recorded, without decoding them."""

@@ -49,7 +49,7 @@ class RecordedFrames:
         except ValueError as error:
             raise RecordingError(f"the recording says {error}") from None
         self._loop = TimedDecoder(self.decoder, self.info.byte_ns, recorded=True)
-        self._gaps = self._bytes_lost = self._unknown = 0
+        self.gap_count = self._bytes_lost = self._unknown = 0
         self._out: FrameArray = np.empty(0, FRAME_DTYPE)  # the array that is being filled
 
     @property
@@ -61,12 +61,12 @@ class RecordedFrames:
     def remarks(self) -> list[str]:
         """Remarks about the recording so far, a line each."""
         remarks = list(self._recording.remarks)
-        if self._gaps:
+        if self.gap_count:
             lost = f"{self._bytes_lost:,}"
             if self._unknown:
                 times = "once" if self._unknown == 1 else f"{self._unknown:,} times"
                 lost += f" and {times} an unknown number"
-            remarks.append(f"gaps in the recording: {self._gaps:,}, bytes lost: {lost}")
+            remarks.append(f"gaps in the recording: {self.gap_count:,}, bytes lost: {lost}")
         if self._loop.clock.remark is not None:
             remarks.append(self._loop.clock.remark)
         return remarks
@@ -142,6 +142,6 @@ class RecordedFrames:
         return self._out, self._loop.count
 
     def _count_gap(self, lost: int) -> None:
-        self._gaps += 1
+        self.gap_count += 1
         self._bytes_lost += max(lost, 0)
         self._unknown += lost < 0

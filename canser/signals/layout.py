@@ -9,7 +9,6 @@ import numpy.typing as npt
 from canser._core.signals import (
     CASE_DTYPE,
     KNOWN_ID_DTYPE,
-    MESSAGE_DTYPE,
     MUX_DEPTH,
     MUX_DTYPE,
     NO_TABLE,
@@ -57,7 +56,8 @@ class Layout:
         self._cases: list[tuple[int, int, int, int]] = []
         self._links: list[int] = []
         self._tables: list[npt.NDArray[np.uint16]] = []
-        self._roots = [self._add_message(message) for message in messages]
+        #: The number of the first page of each message.
+        self.roots = [self._add_message(message) for message in messages]
         #: Records of all signals that are decoded, of SIGNAL_DTYPE.
         self.records = np.array(self._records, SIGNAL_DTYPE)
         self._arrays = self._make_arrays()
@@ -72,15 +72,13 @@ class Layout:
         names = ("first_mux", "mux_count", "full_dlc")
         for name, values in zip(names, np.array(self._page_records).T, strict=bool(self.pages)):
             pages[name] = values
-        messages = np.zeros(len(self.messages), MESSAGE_DTYPE)
-        messages["page"] = self._roots
         ids = [
-            (0, message.id, number, message.ext, 1) for number, message in enumerate(self.messages)
+            (message.id | message.ext << 31, root + 1, 0)
+            for message, root in zip(self.messages, self.roots, strict=True)
         ]
         return {
             "ids": np.array(ids, KNOWN_ID_DTYPE),
             "pgns": self._pgns(),
-            "messages": messages,
             "pages": pages,
             "muxes": np.array(self._muxes, MUX_DTYPE),
             "cases": np.array(self._cases, CASE_DTYPE),
@@ -103,7 +101,7 @@ class Layout:
             general = [each for each in numbers if self.messages[each].is_of_any_sender]
             chosen = general if len(numbers) > 1 else numbers
             if len(chosen) == 1:
-                found.append((pgn, chosen[0]))
+                found.append((pgn, self.roots[chosen[0]]))
         return np.array(found, PGN_DTYPE)
 
     def _add_message(self, message: Message) -> int:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canser._core.signals import NO_MESSAGE, SignalTables
+from canser._core.signals import SignalTables
 from canser.signals.messages import Message
 
 __all__ = ["UNKNOWN_ID_DTYPE", "DecodeReport", "make_report"]
@@ -82,23 +82,27 @@ class DecodeReport:
 
 
 def make_report(
-    messages: Sequence[Message], tables: SignalTables, frame_count: int
+    messages: Sequence[Message], roots: Sequence[int], tables: SignalTables, frame_count: int
 ) -> DecodeReport:
-    """Return what the tables have counted in so many frames."""
-    frames = _named(messages, tables.pages["dlcs"].sum(axis=1)[tables.messages["page"]])
-    ids = tables.ids
-    ids = ids[(ids["count"] > 0) & (ids["message"] == NO_MESSAGE)]
+    """Return what the tables have counted in so many frames; `roots`: the messages' first pages."""
+    pages = tables.pages[roots]
+    dlcs = pages["dlcs"]
+    frames = _named(messages, dlcs.sum(axis=1))
+    # Those with multiplexers are counted one by one, as their pages differ.
+    short = np.where(np.arange(9) < pages["full_dlc"][:, None], dlcs, 0).sum(axis=1)
+    short = np.where(pages["mux_count"] > 0, pages["short_count"], short)
+    ids = tables.unknown_ids
     unknown = np.zeros(len(ids), UNKNOWN_ID_DTYPE)
-    for name in UNKNOWN_ID_DTYPE.names or ():
-        unknown[name] = ids[name]
+    unknown["id"], unknown["ext"] = ids["key"] & 0x1FFF_FFFF, ids["key"] >> 31
+    unknown["count"] = ids["count"]
     order = np.lexsort([unknown["id"], unknown["ext"], -unknown["count"]])
     return DecodeReport(
         frame_count=frame_count,
         messages=frames,
         unknown_ids=unknown[order],
         never_seen=tuple(each.name for each in messages if each.name not in frames),
-        short=_named(messages, tables.messages["short_count"]),
-        unknown_pages=_named(messages, tables.messages["unknown_count"]),
+        short=_named(messages, short),
+        unknown_pages=_named(messages, pages["unknown_count"]),
         remote_count=tables.remote_count,
         error_count=tables.error_count,
         other_count=tables.other_count,

@@ -26,7 +26,6 @@ static void check(bool holds, const char *what)
 /* A database. Message i has the page 3 i; if it has a multiplexer, its values select the two pages
  * behind, one by even cases and both by the last one. Each page has one group. */
 static canser_known_id ids[MESSAGES], places[4096];
-static canser_message messages[MESSAGES];
 static canser_page pages[GROUPS];
 static canser_mux muxes[MESSAGES];
 static canser_case cases[MESSAGES * CASES];
@@ -86,14 +85,12 @@ static void make_database(void)
     memset(&database, 0, sizeof database);
     memset(pages, 0, sizeof pages);
     memset(groups, 0, sizeof groups);
-    memset(messages, 0, sizeof messages);
     memset(tables, 0, sizeof tables);
     for (uint32_t i = 0; i < MESSAGES; i++) {
         canser_mux *const mux = &muxes[i];
 
         /* The last message is found by its parameter group only. */
-        ids[i] = (canser_known_id){0, i == 4 ? 0x1fffffff : i / 2, i, i % 2, 1};
-        messages[i].page = 3 * i;
+        ids[i] = (canser_known_id){(i == 4 ? 0x1fffffff : i / 2) | i % 2 << 31, 3 * i + 1, 0};
         pages[3 * i].first_mux = i;
         pages[3 * i].mux_count = i > 1;
         mux->field = random_field();
@@ -131,14 +128,14 @@ static void make_database(void)
         }
         pages[i].full_dlc = group->least_dlc;
     }
-    pgn = (canser_pgn){0xea00, 4};
+    pgn = (canser_pgn){0xea00, 12};
     database.ids = ids;
     database.id_cap = MESSAGES;
     database.id_count = MESSAGES;
     database.id_most = random_below(4) ? 4000 : 9;
     database.pgns = &pgn;
     database.pgn_count = 1;
-    database.messages = messages;
+    database.spread = (uint32_t)random_word() | 1;
     database.pages = pages;
     database.muxes = muxes;
     database.cases = cases;
@@ -165,6 +162,8 @@ static void make_frames(void)
             frame->id = 0x00ea0000 | (uint32_t)(random_word() & 0x1c00ffff);
         if (random_below(9) == 0)
             frame->id = (uint32_t)(random_word() & (frame->ext ? 0x1fffffff : 0x7ff));
+        if (random_below(99) == 0)
+            frame->id |= (uint32_t)1 << (29 + random_below(3));
         frame->rtr = random_below(20) == 0;
         frame->err = random_below(20) == 0;
         frame->dlc = (uint8_t)(random_below(3) ? 8 : random_below(16));
@@ -176,8 +175,10 @@ static void make_frames(void)
 /* The message of a frame, or MESSAGES. */
 static uint32_t plain_message(const canser_frame *frame)
 {
+    if (frame->id > 0x1fffffff)
+        return MESSAGES;
     for (uint32_t i = 0; i < MESSAGES; i++)
-        if (ids[i].id == frame->id && ids[i].ext == frame->ext)
+        if (ids[i].key == (frame->id | (uint32_t)frame->ext << 31))
             return i;
     return frame->ext && (frame->id >> 16 & 0x3ff) == 0xea ? 4 : MESSAGES;
 }
