@@ -62,6 +62,17 @@ def test_send() -> None:
         assert adapter.report().frames > 0
 
 
+@posix
+def test_live_signals(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("cantools")
+    monkeypatch.setenv("MPLBACKEND", "Agg")  # without a window
+    with canser.Simulator("seeed", vehicle(1), loop=True) as adapter:
+        path = EXAMPLES / "car.dbc"
+        output = run("live_signals.py", adapter.url, "seeed", path, "0.5", "RPM", "VehicleSpeed")
+    assert " frames belong to a message" in output
+
+
 def test_plot_byte(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     canser.write(vehicle(2), tmp_path / "run.log")

@@ -54,7 +54,7 @@ WHERE_USED = {
             )
         ),
     },
-    "pyarrow": {"canser.files.columns", "canser.files.parquet"},
+    "pyarrow": {"canser.files.columns", "canser.files.parquet", "canser.signals.parquet"},
     "isal": {"canser.files.blf", "canser.files.packed"},
     "rich": {"canser._progress", "canser.monitoring._table", "canser.monitoring.monitor"},
     "shtab": {"canser.commands.cli"},

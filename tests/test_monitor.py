@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -31,6 +32,7 @@ from textual.widgets import Static
 
 from canser.monitoring._table import Heading, Table
 from canser.monitoring.monitor import Monitor
+from canser.monitoring.signals import RowSignals
 
 PATIENCE = 60
 
@@ -564,6 +566,174 @@ def test_the_command_in_a_terminal(how: str) -> None:
         assert terminal.shown.rindex(b"\x1b[?1049l") > terminal.shown.rindex(b"\x1b[?1049h")
 
 
+DBC = """BU_: ECU
+BO_ 291 EngineData: 8 ECU
+ SG_ RPM : 0|16@1+ (0.25,0) [0|16000] "rpm" ECU
+ SG_ Gear : 16|4@1+ (1,0) [0|0] "" ECU
+ SG_ Temperature : 24|8@1- (1,-40) [0|0] "\u00b0C" ECU
+BO_ 512 %s: 8 ECU
+ SG_ Page M : 0|8@1+ (1,0) [0|0] "" ECU
+ SG_ Left m0 : 8|8@1+ (1,0) [0|0] "" ECU
+ SG_ Right m1 : 8|8@1+ (0.1,0) [0|0] "A" ECU
+BO_ 513 Another%s: 8 ECU
+ SG_ A : 0|8@1+ (1,0) [0|0] "" ECU
+ SG_ B : 8|8@1+ (1,0) [0|0] "" ECU
+ SG_ C : 16|8@1+ (1,0) [0|0] "" ECU
+ SG_ D : 24|8@1+ (1,0) [0|0] "" ECU
+ SG_ E : 32|8@1+ (1,0) [0|0] "" ECU
+ SG_ F : 40|8@1+ (1,0) [0|0] "" ECU
+ SG_ G : 48|8@1+ (1,0) [0|0] "" ECU
+VAL_ 291 Gear 0 "neutral" 1 "first" ;
+"""
+LONG_NAME = "A_message_with_the_longest_name_"
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> canser.Database:
+    pytest.importorskip("cantools")
+    (tmp_path / "car.dbc").write_text(DBC % (LONG_NAME, LONG_NAME))
+    return canser.Database(tmp_path / "car.dbc")
+
+
+def words(lines: list[str]) -> list[str]:
+    """Return the lines under ids, in which blanks do not count."""
+    return [" ".join(line.split()) for line in lines if line.startswith("           ")]
+
+
+def test_signals_are_under_their_id(database: canser.Database) -> None:
+    async def test(screen: Screen) -> None:
+        await screen.send(
+            frames(0x123, bytes.fromhex("401F0181"), bytes.fromhex("421F013C")),
+            frames(0x124, b"a"),
+            frames(0x123, b"", rtr=True),
+        )
+        await screen.until(lambda: len(screen.lines()) == 5)
+        head, *under = screen.lines()[:3]
+        assert head.split()[:2] == ["123", "2"]
+        assert words(under) == ["EngineData RPM 2000.5 rpm Gear first", "Temperature 20 \u00b0C"]
+        assert under[0].index("RPM") == under[1].index("Temperature")
+        # The remote frames of the id, and an id of no message, have none.
+        assert [line.split()[:2] for line in screen.lines()[3:]] == [["123", "R"], ["124", "1"]]
+
+    show(test, signals=RowSignals(database, database.decoder()))
+
+
+def test_more_columns_hold_more_signals(database: canser.Database) -> None:
+    async def test(screen: Screen) -> None:
+        await screen.send(frames(0x123, bytes.fromhex("401F0F")))
+        # The last one is not in the frame.
+        await screen.until(
+            lambda: words(screen.lines()) == ["EngineData RPM 2000 rpm Gear 15 Temperature -"]
+        )
+
+    show(test, signals=RowSignals(database, database.decoder()), size=LARGE)
+
+
+def test_signals_are_below_a_long_name_if_that_takes_fewer_lines(
+    database: canser.Database,
+) -> None:
+    async def test(screen: Screen) -> None:
+        await screen.send(frames(0x201, bytes(range(8))))
+        lines = [f"Another{LONG_NAME}", "A 0 B 1 C 2 D 3 E 4 F 5 G 6"]
+        await screen.until(lambda: words(screen.lines()) == lines)
+
+    show(test, signals=RowSignals(database, database.decoder()))
+
+
+def test_signals_of_pages_stay_when_they_were_seen(database: canser.Database) -> None:
+    async def test(screen: Screen) -> None:
+        async def until(*lines: str) -> None:
+            await screen.until(lambda: words(screen.lines()) == list(lines))
+
+        await screen.send(frames(0x200, b"\0\x07"))
+        await until(f"{LONG_NAME} Page 0 Left 7")
+        await screen.send(frames(0x200, b"\1\x0f"))
+        await until(f"{LONG_NAME} Page 1 Left 7", "Right 1.5 A")
+        rows = [*screen.table.render_line(1), *screen.table.render_line(2)]
+        looks = {segment.text.strip(): segment.style for segment in rows}
+        assert looks["7"] != looks["1.5 A"] == looks["1"]
+        await screen.pilot.press("c")
+        await screen.send(frames(0x200, b"\1\x0f"))
+        await until(f"{LONG_NAME} Page 1 Right 1.5 A")
+
+    show(test, signals=RowSignals(database, database.decoder()))
+
+
+def test_signals_are_sorted_and_filtered_with_their_ids(database: canser.Database) -> None:
+    async def test(screen: Screen) -> None:
+        await screen.send(
+            frames(0x123, b"\0\0\1"), frames(0x200, b"\0\7"), frames(0x300, b"a", b"a")
+        )
+        firsts = ["123", "EngineData", "Temperature", "200", LONG_NAME, "300"]
+        await screen.until(lambda: screen.ids() == firsts)
+        await screen.pilot.press("n")
+        await screen.until(lambda: screen.ids() == [firsts[-1], *firsts[:-1]])
+        await screen.pilot.press("i", "slash", *"GEAR")
+        await screen.until(lambda: screen.ids() == firsts[:3])
+        assert screen.counter("ids") == "1/3"
+        assert "text a name" in str(screen.app.query("#filter Static").last(Static).content)
+        await screen.pilot.press(*" 2")
+        await screen.until(lambda: screen.ids() == firsts[:-1])
+        await screen.pilot.press(*"x")
+        assert "'2x'" in str(screen.app.query_one("#wrong", Static).content)
+
+    show(test, signals=RowSignals(database, database.decoder()))
+
+
+def test_chosen_signals_only(database: canser.Database) -> None:
+    async def test(screen: Screen) -> None:
+        await screen.send(frames(0x123, b"\0\0\1"), frames(0x200, b"\1\7"))
+        await screen.until(lambda: words(screen.lines()) == ["EngineData Gear first"])
+
+    show(test, signals=RowSignals(database, database.decoder(["Gear", "Left"])))
+
+
+def test_only_rows_on_the_screen_are_decoded(database: canser.Database) -> None:
+    decoder = database.decoder()
+    decoded: list[list[int]] = []
+
+    class Watched:
+        def feed(self, batch: FrameArray) -> canser.Signals:
+            decoded.append(batch["id"].tolist())
+            return decoder.feed(batch)
+
+    async def test(screen: Screen) -> None:
+        ids = [0x123, *range(0x130, 0x170), 0x200]
+        await screen.send(*(frames(each, b"\0\0\1") for each in ids))
+        await screen.until(lambda: len(screen.lines()) == screen.table.size.height)
+        height = screen.table.size.height
+        assert screen.table.virtual_size.height == len(ids) + 3
+        del decoded[:]
+        await screen.send(frames(0x123, b"\0\0\0"))
+        await screen.until(lambda: "Gear neutral" in words(screen.lines())[0])
+        assert all(each[0] == 0x123 and len(each) <= height for each in decoded)
+        screen.table.scroll_end(animate=False)
+        await screen.until(lambda: words(screen.lines())[-1:] == [f"{LONG_NAME} Page 0 Left 0"])
+        assert screen.lines()[-2].split()[0] == "200"
+        # From a line of signals on.
+        screen.table.scroll_to(y=1, animate=False)
+        await screen.until(lambda: screen.ids()[:3] == ["EngineData", "Temperature", "130"])
+
+    show(test, signals=RowSignals(database, cast(Any, Watched())))
+
+
+@posix
+def test_the_command_shows_signals(database: canser.Database, tmp_path: Path) -> None:
+    del database  # it has made the file
+    raw = canser.encode(frames(0x123, *[bytes.fromhex("401F01")] * 10), PROTOCOL)
+    dbc = str(tmp_path / "car.dbc")
+    with (
+        adapter() as (line, path),
+        Terminal("monitor", "-c", path, "-p", PROTOCOL, "--db", dbc) as terminal,
+    ):
+        terminal.until(lambda: b"waiting for frames" in terminal.shown)
+        write_all(line, raw)
+        terminal.until(lambda: b"2000 rpm" in terminal.shown and b"first" in terminal.shown)
+        terminal.press(b"q")
+        terminal.until(lambda: terminal.process.poll() is not None)
+        assert terminal.process.returncode == 0
+
+
 @posix
 def test_the_command_says_at_its_end_that_the_device_went() -> None:
     with (
@@ -615,6 +785,15 @@ def test_without_a_terminal_the_command_says_so() -> None:
 
 def test_a_filter_that_cannot_be_read_is_told() -> None:
     assert "cannot read the filter '12:'" in fails(*CALL, "--filter", "12:")
+
+
+def test_a_database_that_is_not_there_is_told() -> None:
+    pytest.importorskip("cantools")
+    assert fails(*CALL, "--db", "no.dbc") == "canser: no.dbc: No such file or directory"
+
+
+def test_signals_need_a_database() -> None:
+    assert "--signal needs a database" in fails(*CALL, "--signal", "RPM")
 
 
 def test_a_filter_of_the_call_is_exact() -> None:

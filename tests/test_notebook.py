@@ -7,6 +7,7 @@ import base64
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -50,6 +51,8 @@ def execute(source: Path, target: Path) -> None:
     notebook = nbformat.read(source, as_version=4)  # type: ignore[no-untyped-call]
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         # Nothing of the user's own: no kernels, no startup files, no style of pictures.
+        for database in EXAMPLES.glob("*.dbc"):
+            shutil.copy(database, folder)
         os.environ |= {"IPYTHONDIR": folder, "JUPYTER_RUNTIME_DIR": folder}
         kernels = KernelSpecManager(kernel_dirs=[])
         manager = AsyncKernelManager(kernel_name="python3", kernel_spec_manager=kernels)

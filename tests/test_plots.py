@@ -110,6 +110,11 @@ def test_odd_captures_are_drawn(picture: Any, frames: FrameArray, tmp_path: Path
     picture(frames, width=400).savefig(tmp_path / "x.svg")
 
 
+def test_a_notebook_shows_a_figure_without_pyplot() -> None:
+    figure = plots.raster(vehicle(1))
+    assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
+
+
 def test_no_picture_is_kept_by_pyplot() -> None:
     plots.raster(FRAMES)
     assert not plt.get_fignums()

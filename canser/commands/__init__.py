@@ -14,6 +14,7 @@ COMMANDS: Final = {
     "info": "show frames, times, ids, rates and skipped bytes; without -p, find the protocol",
     "stats": "show period, jitter, missing frames and changes of each id",
     "compare": "show which ids, bits and periods differ between two files",
+    "signals": "decode signals with a database; print a summary, or write their values",
     "plot": "draw pictures: load, ids over time, periods, payload, signals, skipped bytes",
     "dump": "print frames in the format of candump",
     "log": "record the bytes of a port, with their times, in pcapng files",

@@ -35,7 +35,7 @@ __all__ = ["completion", "main", "parser"]
 
 
 # The metavars of arguments that are names of files; a shell completes these names.
-_FILES: Final = ("IN", "OUT", "FILE", "A", "B")
+_FILES: Final = ("IN", "OUT", "FILE", "A", "B", "DB")
 
 
 class _Version(argparse.Action):

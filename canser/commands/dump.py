@@ -4,7 +4,14 @@ import argparse
 
 from canser._output import standard_output
 from canser.analysis import report
+from canser.commands._database import (
+    check_database,
+    database_arguments,
+    make_decoder,
+    open_database,
+)
 from canser.commands._parser import GOOD, Commands, add_command, write_line
+from canser.commands._signal_lines import SignalLines, terminal_columns
 from canser.commands._source import (
     check_found,
     open_source,
@@ -27,11 +34,13 @@ def add(commands: Commands) -> None:
         "  canser dump run.bin -p seeed --filter 123 --filter 18FEF100 --filter 7E0:7F8\n"
         "  canser dump run.pcapng --start 10s --end 20s -t z\n"
         "  canser dump two-buses.log --bus can1 --count 100\n"
-        "  cat /dev/ttyUSB0 | canser dump - -p seeed",
+        "  cat /dev/ttyUSB0 | canser dump - -p seeed\n"
+        "  canser dump run.log --db car.dbc --signal RPM --signal Gear",
         run=run,
         parents=[source_arguments()],
     )
     selection_arguments(parser)
+    database_arguments(parser)
     parser.add_argument(
         "-t",
         dest="stamps",
@@ -44,10 +53,12 @@ def add(commands: Commands) -> None:
 
 def run(args: argparse.Namespace) -> int:
     chosen = selection(args)
+    signals = _signals(args)
     with open_source(args) as source, standard_output() as out:
         dump = Dump(args.stamps, source.keep_tags())
         for frames, channels, directions in chosen.apply(source.tagged()):
-            out.write(dump.text(frames, channels, directions))
+            lines = dump.text(frames, channels, directions)
+            out.write(lines if signals is None else signals.under(lines, frames))
             out.flush()
         stats = source.stats
     if stats is not None and (stats.bytes_skipped or stats.controls):
@@ -55,3 +66,12 @@ def run(args: argparse.Namespace) -> int:
     write_remarks(source)
     check_found(source, as_is=args.as_is)
     return GOOD
+
+
+def _signals(args: argparse.Namespace) -> SignalLines | None:
+    """Return what puts signals under frames, if a database is given."""
+    if not args.databases:
+        check_database(args)
+        return None
+    database = open_database(args)
+    return SignalLines(database, make_decoder(database, args), terminal_columns())

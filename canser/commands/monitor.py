@@ -4,7 +4,14 @@ import argparse
 import math
 import sys
 import time
+from typing import Any
 
+from canser.commands._database import (
+    check_database,
+    database_arguments,
+    make_decoder,
+    open_database,
+)
 from canser.commands._parser import GOOD, CallError, Commands, add_command
 from canser.commands._port import duration_arguments, open_port, port_arguments
 from canser.commands._screen import warnings_as_lines
@@ -20,11 +27,13 @@ def add(commands: Commands) -> None:
         commands,
         "monitor",
         "  canser monitor -c /dev/ttyUSB0 -p seeed --bitrate 500000\n"
-        "  canser monitor -c /dev/ttyUSB0 -p seeed --filter 123 --filter 7E0:7F8\n\n"
+        "  canser monitor -c /dev/ttyUSB0 -p seeed --filter 123 --filter 7E0:7F8\n"
+        "  canser monitor -c /dev/ttyUSB0 -p seeed --db car.dbc\n\n"
         "keys:\n"
         "  i n p j d s    sort by id, count, period, jitter, dlc, last seen;\n"
         "                 the same key again reverses the order\n"
-        "  /              filter; digits alone match ids that begin with them\n"
+        "  /              filter; digits alone match ids that begin with them, and with\n"
+        "                 a database any text the names of messages and signals\n"
         "  space          pause; frames are still counted\n"
         "  c              clear all rows\n"
         "  q              quit\n\n"
@@ -44,6 +53,18 @@ def add(commands: Commands) -> None:
         "times, an id must match one of them; the filter line, which / opens, shows and changes "
         "the filters (default: all)",
     )
+    database_arguments(parser)
+
+
+def _signals(args: argparse.Namespace) -> Any:
+    """Return what shows signals under ids, if a database is given."""
+    check_database(args)
+    if not args.databases:
+        return None
+    from canser.monitoring.signals import RowSignals  # noqa: PLC0415 - only with a database
+
+    database = open_database(args)
+    return RowSignals(database, make_decoder(database, args))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -57,6 +78,7 @@ def run(args: argparse.Namespace) -> int:
         filters = exact(" ".join(args.filters))
     except ValueError as error:
         raise CallError(str(error)) from None
+    signals = _signals(args)
     streams = (sys.stdin, sys.stdout, sys.stderr)  # None for a closed one
     if not all(stream is not None and stream.isatty() for stream in streams):
         raise CallError(
@@ -76,6 +98,7 @@ def run(args: argparse.Namespace) -> int:
             bitrate=args.bitrate,
             remarks=remarks,
             stopped=lambda: stop.wanted or time.monotonic() >= end,
+            signals=signals,
         )
         app.run()
     if app.error is not None:

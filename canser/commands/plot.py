@@ -90,6 +90,7 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--kind",
         choices=_KINDS,
+        metavar="KIND",
         help="overview: load, raster and periods on one page; load: of the bus over time; ids: "
         "frames by id; periods: with jitter and missing frames; raster: which id came when; "
         "payload: which bits of --id move; signals: of --db over time; stream: skipped bytes of "

@@ -17,6 +17,7 @@ from textual.widget import Widget
 
 from canser._frames import NO_TIME
 from canser.monitoring.livetable import ROW_DTYPE, RowArray
+from canser.monitoring.signals import INDENT, Line, RowSignals
 
 __all__ = ["DESCENDING", "Heading", "Table"]
 
@@ -96,9 +97,11 @@ class Table(ScrollView, can_focus=True):
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {*_BYTES, "id", "number", "quiet", "error", "bar"}
 
-    def __init__(self) -> None:
+    def __init__(self, signals: RowSignals | None = None) -> None:
         super().__init__()
+        self._signals = signals
         self._rows: RowArray = np.zeros(0, ROW_DTYPE)
+        self._ends = np.zeros(0, np.int64)  # of the lines of each row
         self._now = self._frames = 0
         self._hint = ""  # the text to show if there are no rows
         self._view: tuple[int, Size] | None = None  # scroll offset and size of the lines
@@ -107,7 +110,12 @@ class Table(ScrollView, can_focus=True):
     def show(self, rows: RowArray, now: int, frames: int, hint: str) -> None:
         """Show rows at the time `now`, nanoseconds; `frames`: the number of frames of all rows."""
         self._rows, self._now, self._frames, self._hint = rows, now, frames, hint
-        self.virtual_size = Size(self.scrollable_content_region.width, len(rows))
+        width = self.scrollable_content_region.width
+        counts = np.ones(len(rows), np.int64)
+        if self._signals is not None:
+            counts += self._signals.line_counts(rows, width)
+        self._ends = np.cumsum(counts)
+        self.virtual_size = Size(width, int(counts.sum()))
         old, view = self._lines, self._view
         self._view = None
         new = self._visible()
@@ -139,10 +147,24 @@ class Table(ScrollView, can_focus=True):
         painter = _Painter(
             looks, base, self._now, self._frames, int(self._rows["count"].max()), width >= _WIDE
         )
+        first = int(np.searchsorted(self._ends, top, "right"))
+        last = int(np.searchsorted(self._ends, bottom, "left")) + 1
+        rows = self._rows[first:last]
+        lines: list[list[Segment]] = []
+        for line, under in zip(_values(rows, self._now), self._under(rows, width), strict=True):
+            lines += [painter.segments(line), *map(painter.signals, under)]
+        begin = top - (int(self._ends[first - 1]) if first else 0)
         return [
-            Strip(painter.segments(row)).adjust_cell_length(width, base)
-            for row in _values(self._rows[top:bottom], self._now)
+            Strip(line).adjust_cell_length(width, base)
+            for line in lines[begin : begin + bottom - top]
         ]
+
+    def _under(self, rows: RowArray, width: int) -> Iterator[list[Line]]:
+        """Yield the lines of signals under rows."""
+        if self._signals is None:
+            yield from ([] for _ in rows)
+        else:
+            yield from self._signals.lines(rows, width)
 
 
 def _values(rows: RowArray, now: int) -> Iterator["_Row"]:
@@ -208,6 +230,17 @@ class _Painter(NamedTuple):
             Segment(f"{_ascii(row) if self.wide else ''}{_age(age):>{_SEEN.width}}", number),
             *(self._share(row, number) if self.wide else ()),
         ]
+
+    def signals(self, line: Line) -> list[Segment]:
+        """Return the text of a line of signals."""
+        title = " " * INDENT + line.title
+        found = [Segment(title.ljust(line.begin), self.looks["constant"])]
+        for name, value, is_new in line.cells:
+            width = line.cell - len(name) - 1
+            found.append(Segment(f"{name} ", self.looks["constant"]))
+            look = self.looks["data" if is_new else "quiet"]
+            found.append(Segment(value.ljust(width), look))
+        return found
 
     def _data(self, row: _Row) -> Iterator[Segment]:
         if row.rtr:

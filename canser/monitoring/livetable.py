@@ -10,7 +10,7 @@ import numpy.typing as npt
 from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, match, put_records_at, with_mask
 from canser.analysis.batches import Batch, IdBatches, previous
 
-__all__ = ["COLUMNS", "ROW_DTYPE", "LiveTable", "RowArray", "choose", "exact", "ordered"]
+__all__ = ["COLUMNS", "ROW_DTYPE", "LiveTable", "RowArray", "choose", "exact", "ordered", "terms"]
 
 RowArray = npt.NDArray[np.void]
 
@@ -179,7 +179,8 @@ def ordered(rows: RowArray, by: str, *, descending: bool = False) -> RowArray:
     return rows.take(np.argsort(values, kind="stable"))
 
 
-def _terms(text: str) -> list[str]:
+def terms(text: str) -> list[str]:
+    """Return the filters of a text, which blanks or commas separate."""
     return text.replace(",", " ").split()
 
 
@@ -189,7 +190,7 @@ def exact(text: str) -> str:
     An id alone gets its mask, because `choose` would take it as the first digits of ids: `123`
     becomes `123:800007FF`. ValueError for a filter that cannot be read.
     """
-    filters = [with_mask(term) for term in _terms(text)]
+    filters = [with_mask(term) for term in terms(text)]
     match(np.empty(0, FRAME_DTYPE), *filters)
     return " ".join(filters)
 
@@ -204,7 +205,7 @@ def choose(rows: RowArray, text: str) -> npt.NDArray[np.bool_]:
     that cannot be read.
     """
     prefixes, filters = list[str](), list[str]()
-    for term in _terms(text):
+    for term in terms(text):
         found = _PREFIX.fullmatch(term)
         if found:
             prefixes.append(found["digits"])

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import ClassVar, Final
 
 import numpy as np
+import numpy.typing as npt
 from rich.text import Text
 from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
@@ -18,6 +19,7 @@ from canser.live.meter import Meter, Rates
 from canser.live.ports import Port
 from canser.monitoring._table import DESCENDING, Heading, Table
 from canser.monitoring.livetable import ROW_DTYPE, LiveTable, RowArray, choose, ordered
+from canser.monitoring.signals import RowSignals
 from canser.timing.host import HostClock
 
 __all__ = ["Monitor"]
@@ -82,6 +84,7 @@ class Monitor(App[None]):
     `filters`: the text of the filter line at first, see `livetable.choose`. `bitrate`: that of
     the bus in bit/s, for the bus load, if the port does not know it. `remarks`: a list that may
     grow; its last remark is shown. `stopped`: the application also ends when it returns True.
+    `signals`: what shows the signals of each row under it.
     """
 
     ENABLE_COMMAND_PALETTE = False
@@ -132,9 +135,10 @@ class Monitor(App[None]):
         bitrate: int | None = None,
         remarks: Sequence[str] = (),
         stopped: Callable[[], bool] = lambda: False,
+        signals: RowSignals | None = None,
     ) -> None:
         super().__init__()
-        self._port, self._filter = port, filters
+        self._port, self._filter, self._signals = port, filters, signals
         self._remarks, self._stopped = remarks, stopped
         self._bitrate = port.bitrate if bitrate is None else bitrate
         self._reader = _Reader(port, self._bitrate)
@@ -156,12 +160,14 @@ class Monitor(App[None]):
         """Lay out the screen."""
         yield _Status()
         yield Heading()
-        yield Table()
+        yield Table(self._signals)
         yield Static(id="note", markup=False)
         with Horizontal(id="filter"):
             yield Static("Filter", markup=False)
-            yield _FilterLine(placeholder="18F  123:7FF  #FF", compact=True)
-            yield Static("digits alone match the start of an id", markup=False)
+            names = "" if self._signals is None else "  RPM"
+            yield _FilterLine(placeholder=f"18F  123:7FF  #FF{names}", compact=True)
+            hint = "digits alone match the start of an id"
+            yield Static(hint + (names and ", text a name"), markup=False)
         yield Static(id="wrong", markup=False)
         yield Footer(compact=True)
 
@@ -202,6 +208,8 @@ class Monitor(App[None]):
     def action_clear(self) -> None:
         """Remove all rows."""
         self._reader.table.clear()
+        if self._signals is not None:
+            self._signals.clear()
         self._take()
         self._draw()
 
@@ -221,7 +229,7 @@ class Monitor(App[None]):
         """Apply the filter while it is typed."""
         wrong = self.query_one("#wrong", Static)
         try:
-            choose(self._rows, event.value)
+            self._choose(event.value)
         except ValueError as error:
             wrong.update(str(error))
             wrong.display = True
@@ -261,11 +269,17 @@ class Monitor(App[None]):
             self._take()
         self._ended = error is not None
         heading = self.query_one(Heading)
-        shown = self._rows.compress(choose(self._rows, self._filter))
+        shown = self._rows.compress(self._choose(self._filter))
         shown = ordered(shown, heading.by, descending=heading.descending)
         self.query_one(Table).show(shown, self._now, self._frames, self._hint())
         self._show_status(len(shown))
         self._show_note()
+
+    def _choose(self, text: str) -> npt.NDArray[np.bool_]:
+        """Mark the rows that match a filter; ValueError if it cannot be read."""
+        if self._signals is None:
+            return choose(self._rows, text)
+        return self._signals.choose(self._rows, text)
 
     def _hint(self) -> str:
         if len(self._rows):

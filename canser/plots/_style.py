@@ -4,7 +4,9 @@ Colours are those of Okabe and Ito, which all readers can tell apart. One ink dr
 measured. `wrong` is for what is wrong only, and always has a second sign: a cross, hatching, text.
 """
 
+import io
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -119,7 +121,16 @@ def new_figure(width: int, height: float, style: Style) -> "Figure":
     from matplotlib.figure import Figure  # noqa: PLC0415 - an optional extra
 
     inches = page_width(width)
-    return Figure(figsize=(inches, height), dpi=width / inches, facecolor=style.ground)
+    figure = Figure(figsize=(inches, height), dpi=width / inches, facecolor=style.ground)
+    # So a notebook shows it; otherwise it does that only where pyplot was imported.
+    figure._repr_png_ = partial(_as_png, figure)  # type: ignore[attr-defined]
+    return figure
+
+
+def _as_png(figure: "Figure") -> bytes:
+    image = io.BytesIO()
+    figure.savefig(image, format="png")
+    return image.getvalue()
 
 
 def check_matplotlib() -> None:

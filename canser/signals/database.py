@@ -34,7 +34,7 @@ class Database:
 
     Parameters
     ----------
-    *paths : str or path
+    *paths : str or path-like
         One file or several. Where two files have a message with the same id or the same name, that
         of the first one counts, and a CanserWarning tells.
     match : {"auto", "id", "pgn"}
