@@ -17,6 +17,7 @@ __all__ = [
     "check_codes",
     "check_frames",
     "concat",
+    "contiguous_frames",
     "copy_records",
     "match",
     "put_records",
@@ -254,6 +255,14 @@ def check_frames(array: object, name: str) -> None:
     refuse_mask(array, name)
     if array.ndim != 1:
         raise ValueError(f"{name} has {array.ndim} dimensions; it must have one")
+
+
+def contiguous_frames(frames: FrameArray) -> FrameArray:
+    """Return frames as C takes them, contiguous and aligned: checked, and a copy where need be."""
+    check_frames(frames, "frames")
+    if frames.flags.c_contiguous and frames.flags.aligned:
+        return frames
+    return copy_records(frames)
 
 
 def check_codes(codes: object, name: str, frames: FrameArray) -> None:

@@ -17,6 +17,8 @@ import pytest
 can = pytest.importorskip("can")
 pytest.importorskip("termios", reason="pseudo terminals are POSIX's")
 
+from can import logconvert  # noqa: E402
+
 import canser  # noqa: E402
 from canser._frames import FrameArray  # noqa: E402
 from canser.simulation.traffic import vehicle  # noqa: E402
@@ -39,12 +41,6 @@ def payload(frame: np.void) -> bytes:
     return b"" if frame["rtr"] else bytes(frame["data"][: frame["dlc"]].tobytes())
 
 
-def run(command: list[str]) -> str:
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 def until(holds: Callable[[], bool]) -> None:
     deadline = time.monotonic() + PATIENCE
     while not holds():
@@ -65,10 +61,13 @@ def started(command: list[str], **how: Any) -> Iterator["subprocess.Popen[str]"]
 
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".csv", ".log"])
 @pytest.mark.parametrize("source", ["run.bin", "run.pcapng"])
-def test_logconvert(tmp_path: Path, source: str, suffix: str) -> None:
+def test_logconvert(
+    tmp_path: Path, source: str, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made = recording if source.endswith("pcapng") else raw
     path, target = made(tmp_path / source, "seeed"), tmp_path / f"run{suffix}"
-    run(tool("logconvert", path, target))
+    monkeypatch.setattr(sys, "argv", ["logconvert", str(path), str(target)])
+    logconvert.main()
     frames = canser.read(path, "seeed")
     with can.LogReader(target) as reader:
         messages = list(reader)

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import canser
+from calls import BAD_CALL, BAD_DATA, GOOD, PATIENCE, command, run
 from canser._frames import FrameArray
 from canser.commands.cli import main
 from canser.commands.simulate import _traffic
@@ -24,53 +25,39 @@ from canser.simulation.simulator import Simulator
 from canser.simulation.traffic import damage, vehicle
 from reference import WIRE_FORMATS
 
+if sys.platform != "win32":
+    from beside import Running, running
+
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
-
-GOOD, BAD_DATA, BAD_CALL = 0, 1, 2
-
-# A command that hangs is a failure, on the slowest machine too.
-PATIENCE = 60
 
 
 class Command:
     """The running command, and what it has printed in the end."""
 
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        self.process = process
-        assert process.stdout is not None
-        self.url = process.stdout.readline().rstrip("\n")
+    def __init__(self, process: "Running") -> None:
+        self._process = process
+        process.wait_for(lambda: process.out, "the terminal")
+        self.url = process.out[0]
 
     def end(self, number: signal.Signals | None = None) -> tuple[int, list[str], str]:
         """Return the exit code, the lines on standard error, and the rest of the output."""
-        if number is not None:
-            self.process.send_signal(number)
-        out, err = self.process.communicate(timeout=PATIENCE)
-        return self.process.returncode, err.splitlines(), out
-
-
-def arguments(*more: str) -> list[str]:
-    return [sys.executable, "-m", "canser", "simulate", *more]
+        code = self._process.end(number)
+        return code, self._process.err, "\n".join(self._process.out[1:])
 
 
 @contextlib.contextmanager
 def simulate(folder: Path, *more: str) -> Iterator[Command]:
-    with subprocess.Popen(
-        arguments(*more), cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        try:
-            yield Command(process)
-        finally:
-            process.kill()
+    with running(folder, "simulate", *more) as process:
+        yield Command(process)
 
 
 def fails(folder: Path, *more: str) -> tuple[int, str]:
     """Run the command; return its exit code and its one line."""
-    done = subprocess.run(
-        arguments(*more), cwd=folder, capture_output=True, text=True, timeout=PATIENCE, check=False
-    )
-    assert len(done.stderr.splitlines()) == 1, done.stderr
-    assert done.stderr.startswith("canser")
-    return done.returncode, done.stderr
+    done = run(folder, "simulate", *more)
+    message = done.stderr.decode()
+    assert len(message.splitlines()) == 1, message
+    assert message.startswith("canser")
+    return done.returncode, message
 
 
 def read(url: str, count: int) -> bytes:
@@ -197,7 +184,7 @@ def test_a_pipe_that_gives_no_more_does_not_keep_it(tmp_path: Path) -> None:
     frames = vehicle(3)  # more than the 64 KiB by which a pipe is judged
     clean = canser.encode(frames, "serial")
     with subprocess.Popen(
-        arguments("-p", "serial", "--traffic", "-", "--pace", "max", "--link", "device"),
+        [*command("simulate", "-p", "serial", "--traffic", "-"), "--pace=max", "--link=device"],
         cwd=tmp_path,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -470,15 +457,8 @@ def test_errors_are_one_line(tmp_path: Path, call: list[str], code: int, words: 
 
 def test_what_the_protocol_cannot_carry_ends_it(tmp_path: Path) -> None:
     (tmp_path / "run.log").write_text("(1.0) can0 12345678#11\n")
-    done = subprocess.run(
-        arguments("-p", "cantalope", "--traffic", "run.log", "--copy", "sent.bin"),
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        check=False,
-    )
-    assert done.returncode == BAD_DATA
-    assert len(done.stderr.splitlines()) == 1
-    assert "extended" in done.stderr
+    options = ("-p", "cantalope", "--traffic", "run.log", "--copy", "sent.bin")
+    code, message = fails(tmp_path, *options)
+    assert code == BAD_DATA
+    assert "extended" in message
     assert [path.name for path in tmp_path.iterdir()] == ["run.log"]

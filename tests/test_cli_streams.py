@@ -14,6 +14,7 @@ import pytest
 
 import canser
 from canser.simulation.traffic import vehicle
+from long import longer, skipped
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="/dev/full, named pipes, a shell")
 
@@ -103,7 +104,12 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize(
-    "stream", [pytest.param("2> /dev/full", marks=full, id="full"), "2>&-", "2>&9"]
+    "stream",
+    [
+        pytest.param("2> /dev/full", marks=full, id="full"),
+        "2>&-",
+        pytest.param("2>&9", marks=[longer, skipped]),
+    ],
 )
 @pytest.mark.parametrize("command", COMMANDS)
 def test_messages_that_cannot_be_written_change_no_exit_code(

@@ -12,13 +12,7 @@ import pytest
 
 import canser
 from canser.signals.messages import pgn_of
-from shared import CAPTURES
-
-DATABASES = CAPTURES.parent / "databases"
-
-needs_databases = pytest.mark.skipif(
-    not DATABASES.is_dir(), reason="the folder of databases, ../shared/databases, is not here"
-)
+from databases import DATABASES, needs_databases, needs_refusal
 
 HEAD = 'VERSION ""\n\nBU_: ECU\n\n'
 ENGINE = """BO_ 291 EngineData: 8 ECU
@@ -50,6 +44,7 @@ def test_a_database_says_what_it_has(tmp_path: Path) -> None:
 
 
 @needs_databases
+@needs_refusal
 def test_entries_of_signals_that_are_not_there_are_skipped() -> None:
     path = DATABASES / "tesla-broken.dbc"
     with pytest.warns(canser.CanserWarning) as caught:

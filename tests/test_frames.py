@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 import canser
-from canser._frames import FRAME_DTYPE, NO_TIME, FrameArray, copy_records, put_records
+from canser._frames import (
+    FRAME_DTYPE,
+    NO_TIME,
+    FrameArray,
+    contiguous_frames,
+    copy_records,
+    put_records,
+)
 
 
 def frames_of(*rows: tuple[int, bool, bool, bool]) -> canser.FrameArray:
@@ -203,6 +210,16 @@ def test_records_that_overlap_are_moved() -> None:
     frames = counted(20).copy()
     put_records(frames[1:], frames[:-1])
     assert frames[1:].tobytes() == counted(20)[:-1].tobytes()
+
+
+@pytest.mark.parametrize("kind", ["every other one", "backwards", "at an odd address", "recarray"])
+def test_frames_are_copied_for_c_where_need_be(kind: str) -> None:
+    frames = KINDS[kind](counted(20))
+    plain = contiguous_frames(frames)
+    assert plain.flags.c_contiguous
+    assert plain.flags.aligned
+    assert plain.tobytes() == frames.tobytes()
+    assert (plain is frames) == (kind == "recarray")
 
 
 def test_other_records_are_copied_too() -> None:

@@ -12,7 +12,7 @@ from canser.codec.refusals import carries
 from canser.files import fits
 from canser.files.judge import describe_fit, likely
 from canser.simulation.traffic import line_noise, vehicle
-from long import LONG
+from long import LONG, longer
 
 
 @pytest.mark.parametrize("protocol", canser.protocols())
@@ -100,6 +100,7 @@ def holds_in_any_order(raw: bytes) -> bool:
     return bool((np.frombuffer(raw, np.uint8) & 0xF <= 8).all())
 
 
+@longer
 @pytest.mark.parametrize("counter", [False, True], ids=["constant", "counter"])
 @pytest.mark.parametrize("id_count", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("protocol", canser.protocols())
@@ -124,6 +125,7 @@ def judge_quiet_bus(protocol: str, raw: bytes, noise: float = 0) -> None:
 
 # Where one protocol's frames have one length, a bus that repeats so many bytes, or a multiple, may
 # give them at each round.
+@longer
 @pytest.mark.parametrize("noise", [0, 0.001, 0.01])
 @pytest.mark.parametrize("length", [11, 13, 24, 26, 39])
 @pytest.mark.parametrize("protocol", canser.protocols())

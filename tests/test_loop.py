@@ -20,6 +20,7 @@ from canser.recording.header import RecordingInfo
 from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
 from canser.timing.loop import TimedDecoder
+from long import LONG
 from reference import WIRE_FORMATS
 
 US, MS, S = 1_000, 1_000_000, 1_000_000_000
@@ -158,7 +159,7 @@ def decode_in_pieces(
 
 
 @every_protocol
-@settings(max_examples=100)
+@settings(max_examples=100 if LONG else 30)
 @given(
     seed=st.integers(0, 2**32),
     packet_count=st.integers(0, 200),
@@ -225,7 +226,7 @@ def read_pipe(path: Path, room: int) -> bytes:
 
 @pytest.mark.filterwarnings("ignore:.*(gaps in the recording|device clock):canser.CanserWarning")
 @every_protocol
-@settings(max_examples=25)
+@settings(max_examples=25 if LONG else 10)
 @given(
     seed=st.integers(0, 2**32),
     gap_count=st.integers(0, 2),

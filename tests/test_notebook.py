@@ -90,6 +90,7 @@ def pictures(cell: Cell) -> list[bytes]:
     return [base64.b64decode("".join(each["image/png"])) for each in data if "image/png" in each]
 
 
+@pytest.mark.long
 @pytest.mark.skipif(
     os.environ.get("CANSER_LONG") != "1", reason="takes long: CANSER_LONG=1, as in .ci/run"
 )

@@ -36,7 +36,7 @@ from canser.codec import parallel, sinks
 from canser.codec.parallel import Ahead
 from canser.files import raw as raw_format
 from canser.simulation.traffic import line_noise, vehicle
-from long import EXAMPLES
+from long import EXAMPLES, longer
 from reference import ID_EXT_MAX, ID_MAX, TICK_NS, WIRE_FORMATS, Frame
 
 # Threads must agree on noise, too: that most bytes are in no packet is not judged here.
@@ -268,6 +268,7 @@ def assert_is_what_the_reference_says(
     assert reference.Stats.of(outcome.stats) == want.stats
 
 
+@longer
 @every_protocol
 def test_any_number_of_threads_and_any_borders(protocol: str) -> None:
     tally: Counter[str] = Counter()

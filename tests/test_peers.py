@@ -16,14 +16,14 @@ from can.interfaces.serial.serial_can import SerialBus  # noqa: E402
 import shared  # noqa: E402
 from canser.python_can.bus import CanserBus  # noqa: E402
 from device import PATIENCE  # noqa: E402
-from long import LONG  # noqa: E402
+from long import LONG, longer  # noqa: E402
 from wires import linked  # noqa: E402
 
-pytestmark = shared.needs_captures
+pytestmark = [shared.needs_captures, longer]
 
 PEERS: dict[str, Callable[..., Any]] = {"serial": SerialBus, "seeed": SeeedBus}
 
-COUNT = 100_000 if LONG else 20_000
+COUNT = 100_000 if LONG else 10_000
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ import plain_pcapng
 from canser.errors import RecordingError
 from canser.recording.reader import Recording
 from canser.recording.recovery import recover
-from long import LONG
+from long import LONG, longer
 
 # More of them in `make soak`.
-RUNS = int(os.environ.get("CANSER_KILLS", "200" if LONG else "50"))
+RUNS = int(os.environ.get("CANSER_KILLS", "200" if LONG else "25"))
 
 # Starts writers as its children, kills each at a random moment, and names its file: a fork
 # costs a hundredth of a new interpreter. A writer writes as fast as it can, until it is
@@ -65,6 +65,7 @@ for run in range(runs):
 """
 
 
+@longer
 @pytest.mark.skipif(sys.platform == "win32", reason="kill -9 is POSIX")
 def test_what_was_written_survives(tmp_path: Path) -> None:
     killer = subprocess.Popen(

@@ -20,6 +20,7 @@ import shared
 import vectors
 from canser._core.buffers import FrameRoom, input_bytes
 from conftest import Run, assert_agree
+from long import LONG, longer
 from reference import ID_EXT_MAX, ID_MAX, NO_TIME, TICK_NS, WIRE_FORMATS, Frame
 
 PROTOCOLS = canser.protocols()
@@ -402,8 +403,9 @@ def long_noise(protocol: str, chance: random.Random) -> bytes:
     return bytes(stream)
 
 
+@longer
 @every_protocol
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(8 if LONG else 4))
 def test_long_noise(protocol: str, seed: int) -> None:
     chance = random.Random(seed)
     stream = long_noise(protocol, chance)
@@ -659,7 +661,7 @@ def steps_of_a_counter(draw: st.DrawFn) -> list[int]:
     return [draw(st.integers(0, 9))] * run + away + [near - sum(away)]
 
 
-@settings(max_examples=400)
+@settings(max_examples=400 if LONG else 150)
 @given(
     st.integers(0, 2**32 - 1),
     st.lists(steps_of_a_counter(), max_size=6),

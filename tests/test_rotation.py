@@ -19,6 +19,7 @@ from canser.recording.reader import Recording
 from canser.recording.rotation import RecordingFiles
 from canser.recording.writer import RecordingWriter
 from canser.simulation.traffic import vehicle
+from long import LONG
 
 INFO = RecordingInfo("seeed", 2_000_000, 500_000, "ms", "/dev/test")
 MS = 1_000_000
@@ -107,7 +108,7 @@ def test_one_file_holds_all_bytes_and_their_times(tmp_path: Path) -> None:
     ]
 
 
-@settings(max_examples=20)
+@settings(max_examples=20 if LONG else 10)
 @given(
     step=st.integers(1, 3000),
     size=st.integers(1500, 12_000),

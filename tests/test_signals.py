@@ -29,6 +29,7 @@ from databases import (  # noqa: E402
     frame,
     full,
     needs_databases,
+    needs_refusal,
     numbered,
     opened,
     parsed,
@@ -186,6 +187,7 @@ def test_a_database_in_utf8_gives_the_same_values() -> None:
 
 
 @needs_databases
+@needs_refusal
 def test_what_cantools_refuses_is_told_and_the_rest_is_read() -> None:
     with pytest.warns(canser.CanserWarning, match=r"tesla-broken\.dbc: .*line \d+ ") as warned:
         broken = canser.Database(DATABASES / "tesla-broken.dbc")

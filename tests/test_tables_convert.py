@@ -378,6 +378,7 @@ def test_a_time_that_does_not_fit_is_refused(package: str) -> None:
     assert read_by(package, ts=ok)[0]["ts"].tolist() == ok.astype("M8[ns]").view(np.int64).tolist()
 
 
+@pytest.mark.filterwarnings("ignore:Converting non-nanosecond")  # by old releases
 def test_variables_of_xarray_are_checked() -> None:
     xr = pytest.importorskip("xarray")
     right = {"id": ("row", [1]), "ext": ("row", [False]), "dlc": ("row", [8])}

@@ -17,7 +17,7 @@ from canser.live import ports
 from canser.recording.header import RecordingInfo
 from canser.recording.writer import RecordingWriter
 from canser.timing.loop import TimedDecoder
-from long import LONG
+from long import LONG, longer
 from readers import collect, plugged
 
 US, MS, S = 1_000, 1_000_000, 1_000_000_000
@@ -79,11 +79,12 @@ def off(times: Times, truth: Times) -> npt.NDArray[np.float64]:
     return milliseconds
 
 
+@longer
 @pytest.mark.parametrize("false_count", [4, 40])
 def test_false_times_in_a_row_put_nothing_a_turn_off(false_count: int) -> None:
     # Behind a clock in line, and in other streams 2 before there is one.
     rng = np.random.default_rng(1)
-    for seed in range(400):
+    for seed in range(400 if LONG else 100):
         truth = steady(4, 50, seed)
         ticks = counters(truth, "us", EPOCH - int(rng.integers(0, 10 * HOUR)))
         at, count = (100, false_count) if seed % 2 else (int(rng.integers(1, 15)), 2)
@@ -134,11 +135,12 @@ def test_a_restart_of_the_device(unit: str) -> None:
     assert off(host, truth).max() <= 2 * TICK[unit] / MS + 1
 
 
+@longer
 @pytest.mark.parametrize("count", [1, 2, 15])
 @pytest.mark.parametrize("unit", ["ms", "us"])
 def test_the_first_times_are_false(unit: str, count: int) -> None:
     rng = np.random.default_rng(4)
-    for seed in range(50):
+    for seed in range(50 if LONG else 15):
         truth = steady(5, 50, seed)
         ticks = counters(truth, unit, EPOCH - 10 * MINUTE)
         wire = ticks.copy()
@@ -151,6 +153,7 @@ def test_the_first_times_are_false(unit: str, count: int) -> None:
         assert off(host, truth)[count:].max() <= TICK[unit] / MS + 1
 
 
+@longer
 @pytest.mark.parametrize("unit", ["s", "ms", "us"])
 def test_noise_for_long(unit: str) -> None:
     truth = steady(7200 if LONG else 1800, 20)

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canser._core.ids import NO_ROW, Rows, order_rows
-from canser._frames import FrameArray, copy_records
+from canser._frames import FrameArray, contiguous_frames
 from canser.analysis.ids import in_order
 
 __all__ = ["Batch", "IdBatches", "previous"]
@@ -81,9 +81,8 @@ class IdBatches:
 
     def add(self, frames: FrameArray) -> Batch:
         """Add frames: array of FRAME_DTYPE, shape (n,)."""
+        frames = contiguous_frames(frames)
         self.frames += len(frames)
-        if not frames.flags.c_contiguous:
-            frames = copy_records(frames)
         row_of, steps = np.empty(len(frames), np.uint32), np.empty(len(frames), np.int64)
         before = self._count()
         self._rows.add(frames, None, row_of, steps)

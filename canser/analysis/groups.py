@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from canser._core.ids import Rows, order_rows
 from canser._core.text import Codes
-from canser._frames import FRAME_DTYPE, FrameArray
+from canser._frames import FRAME_DTYPE, FrameArray, contiguous_frames
 from canser._notation import ERR_FLAG
 from canser.analysis.ids import contiguous
 from canser.analysis.names import id_digits
@@ -117,7 +117,7 @@ def by_id(frames: FrameArray) -> IdGroups:
     >>> groups.order, groups.offsets
     (array([0, 2, 1]), array([0, 2, 3]))
     """
-    return IdGroups(contiguous(frames, None)[0])
+    return IdGroups(contiguous_frames(frames))
 
 
 def changes(frames: FrameArray, *, channels: Codes | None = None) -> FrameArray:

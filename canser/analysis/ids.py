@@ -10,7 +10,7 @@ import numpy.typing as npt
 from canser._checks import type_name
 from canser._core.ids import Rows, order_rows
 from canser._core.text import Codes
-from canser._frames import NO_TIME, FrameArray, check_codes, check_frames, copy_records
+from canser._frames import NO_TIME, FrameArray, check_codes, contiguous_frames
 from canser.analysis.periods import Intervals, find_pattern
 
 __all__ = ["ID_STATS_DTYPE", "IdStats", "IdStatsArray", "id_stats", "in_order", "kept_intervals"]
@@ -245,12 +245,10 @@ def stats_and_steps(
 
 def contiguous(frames: FrameArray, channels: Codes | None) -> tuple[FrameArray, Codes | None]:
     """Return checked frames and channels as C takes them."""
-    check_frames(frames, "frames")
+    frames = contiguous_frames(frames)
     if channels is not None:
         check_codes(channels, "channels", frames)
         channels = np.ascontiguousarray(channels)
-    if not (frames.flags.c_contiguous and frames.flags.aligned):
-        frames = copy_records(frames)
     return frames, channels
 
 

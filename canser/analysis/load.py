@@ -8,9 +8,8 @@ import numpy.typing as npt
 
 from canser._checks import type_name
 from canser._core.ids import Runs
-from canser._frames import FrameArray, check_frames
+from canser._frames import FrameArray, check_frames, contiguous_frames
 from canser._quantities import LONGEST_S, parse_seconds
-from canser.analysis.ids import contiguous
 from canser.codec.bits import frame_bits
 
 __all__ = ["BITRATE_MOST", "LOAD_DTYPE", "BusLoad", "bus_load", "load_of"]
@@ -181,7 +180,7 @@ class BusLoad:
         ValueError
             The shape is not (n,).
         """
-        frames, _ = contiguous(frames, None)
+        frames = contiguous_frames(frames)
         runs = self._runs.add(frames)
         known = np.flatnonzero(runs)
         self.untimed += len(frames) - len(known)

@@ -12,10 +12,10 @@ import numpy as np
 from canser._core.ids import Rows
 from canser._core.stream import Control
 from canser._dates import date_text
-from canser._frames import NO_TIME, FrameArray
+from canser._frames import NO_TIME, FrameArray, contiguous_frames
 from canser._input import Input
 from canser.analysis import report
-from canser.analysis.ids import ID_STATS_DTYPE, IdStatsArray, contiguous, finish, in_order
+from canser.analysis.ids import ID_STATS_DTYPE, IdStatsArray, finish, in_order
 from canser.analysis.plain import to_plain
 from canser.codec.decoder import Stats
 from canser.errors import NoProtocolError
@@ -354,7 +354,7 @@ def summarise(blocks: Iterable[FrameArray]) -> FileInfo:
     rows, clock = Rows(remote_apart=False, keeps_steps=True), Clock()
     dlc, count = np.zeros(9, np.int64), 0
     for block in blocks:
-        frames, _ = contiguous(block, None)
+        frames = contiguous_frames(block)
         rows.add(frames)
         times = frames["ts"]
         clock.add(times[times != NO_TIME])

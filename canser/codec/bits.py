@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canser._core.bits import count_bits
-from canser._frames import FrameArray, check_frames, copy_records
+from canser._frames import FrameArray, contiguous_frames
 
 __all__ = ["frame_bits"]
 
@@ -44,7 +44,4 @@ def frame_bits(frames: FrameArray) -> npt.NDArray[np.uint8]:
     >>> canser.frame_bits(canser.frames("123#", "123#0102030405060708", "123#R8"))
     array([ 48, 119,  48], dtype=uint8)
     """
-    check_frames(frames, "frames")
-    if not (frames.flags.c_contiguous and frames.flags.aligned):
-        frames = copy_records(frames)
-    return count_bits(frames)
+    return count_bits(contiguous_frames(frames))

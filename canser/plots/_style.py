@@ -224,9 +224,8 @@ def new_pages(
 
 def figure_of(ax: "Axes") -> "Figure":
     """Return the whole figure that an axes is in."""
-    figure = ax.get_figure(root=True)
-    assert figure is not None
-    return figure
+    # Of a subfigure too: `get_figure(root=True)` is matplotlib's from 3.10 on.
+    return ax.figure.figure
 
 
 def put_title(

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from canser._checks import instance
 from canser._core.arrow import is_shared, shared_empty
 from canser._core.signals import GROUP_DTYPE, Routes
-from canser._frames import FrameArray, check_frames, copy_records
+from canser._frames import FrameArray, contiguous_frames
 from canser.signals.layout import Layout, Page
 from canser.signals.named import unknown_name
 from canser.signals.plans import Plan
@@ -105,11 +105,9 @@ class SignalDecoder:
         TypeError
             `frames` is no array of FRAME_DTYPE, or `out` is no Signals.
         """
-        check_frames(frames, "frames")
+        frames = contiguous_frames(frames)
         if out is not None:
             instance(out, "out", Signals)
-        if not (frames.flags.c_contiguous and frames.flags.aligned):
-            frames = copy_records(frames)
         with self._lock:
             routes, counts = self._tables.count(frames)
             self._frame_count += len(frames)

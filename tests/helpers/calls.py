@@ -34,26 +34,27 @@ def run(
     folder: Path, *arguments: str, stdin: bytes = b"", **more: str
 ) -> subprocess.CompletedProcess[bytes]:
     """Run the command in a folder, to its end."""
-    if more or not CAN_FORK:
+    variables = environment(**more)
+    if not CAN_FORK:
         return subprocess.run(
             command(*arguments),
             cwd=folder,
             input=stdin,
             capture_output=True,
-            env=environment(**more),
+            env=variables,
             timeout=PATIENCE,
             check=False,
         )
-    return _run_forked(folder, arguments, stdin)
+    return _run_forked(folder, arguments, stdin, variables)
 
 
 def _run_forked(
-    folder: Path, arguments: tuple[str, ...], stdin: bytes
+    folder: Path, arguments: tuple[str, ...], stdin: bytes, variables: dict[str, str]
 ) -> subprocess.CompletedProcess[bytes]:
     # Files, so that no pipe fills up; but its input is a pipe, as of another command.
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         with Forked(
-            folder, arguments, (subprocess.PIPE, out.fileno(), err.fileno()), environment()
+            folder, arguments, (subprocess.PIPE, out.fileno(), err.fileno()), variables
         ) as process:
             assert process.stdin is not None
             feeder = threading.Thread(target=_feed, args=(process.stdin, stdin), daemon=True)
