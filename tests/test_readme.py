@@ -1,6 +1,7 @@
 """What the README shows works as it stands there."""
 
 import re
+import shutil
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,8 +22,9 @@ BLOCKS = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), 
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are POSIX")
 def test_the_lines_of_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    shutil.copy(README.with_name("examples") / "car.dbc", tmp_path)
     Path("run.bin").write_bytes(line_noise(canser.encode(vehicle(2), "serial")))
-    files, statistics, live, bus = BLOCKS
+    files, statistics, signals, live, bus = BLOCKS
     names: dict[str, object] = {}
     exec(files, names)
     assert len(names["frames"]) == 1  # type: ignore[arg-type]
@@ -31,6 +33,8 @@ def test_the_lines_of_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         statistics = re.sub("^df = .*$", "", statistics, flags=re.MULTILINE)
     exec(statistics, names)
     assert len(names["stats"])  # type: ignore[arg-type]
+    exec(signals, names)
+    assert len(names["rpm"])  # type: ignore[arg-type]
     # The loop that goes on for ever ends after a batch.
     for code in (live.replace("    ...\n", "    break\n"), bus):
         with Simulator("seeed", vehicle(2), loop=True) as device:
