@@ -984,7 +984,7 @@ int canser_order_rows(const uint32_t *row_of, const int64_t *steps, size_t frame
 /* ---- For signals: the numbers that a database finds in the data of frames. */
 
 /* Samples that are kept for a group before its signals are decoded. */
-#define CANSER_SIGNAL_BLOCK 256
+#define CANSER_SIGNAL_BLOCK 1024
 
 /* How deep multiplexers may lie behind multiplexers: C goes down by calls. */
 #define CANSER_MUX_DEPTH 32
@@ -1095,9 +1095,10 @@ typedef struct {
  * and numbers in them that are in range; it zeroes what is counted. */
 typedef struct {
     canser_known_id *ids;
-    size_t id_cap;   /* a power of two, at least twice the ids of the database */
-    uint32_t spread; /* any odd number: it spreads the ids over their places. One that is not known
-                      * before keeps ids from being made that meet in few places */
+    size_t id_cap; /* a power of two, at least twice the ids of the database */
+    uint32_t
+        spread; /* any odd number: an id's place is in the upper bits of their product. One that
+                 * is not known before keeps ids from being made that meet in few places */
     size_t id_count;
     size_t id_most; /* further ids are not kept: their frames are decoded, but not told apart */
     const canser_pgn *pgns; /* the smallest first */

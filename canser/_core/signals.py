@@ -25,6 +25,7 @@ __all__ = [
     "SIGNAL_DTYPE",
     "WHOLE",
     "SignalTables",
+    "find_spread",
 ]
 
 NO_MESSAGE: Final[int] = lib.CANSER_NO_MESSAGE
@@ -79,16 +80,40 @@ PGN_DTYPE: Final = _struct("canser_pgn")
 # Ids that are kept at most, 24 bytes each. Only noise has more.
 _IDS_MOST: Final = 1 << 20
 
+# Numbers that are tried to spread the ids of a database.
+_TRIES: Final = 50
+
 Records = npt.NDArray[np.void]
 
 # The first page of each frame.
 Routes = npt.NDArray[np.uint16]
 
 
+def _places(id_count: int) -> int:
+    """Return the places of a table of ids: at least 4 for each."""
+    return max(64, 1 << (4 * id_count).bit_length())
+
+
+def find_spread(keys: npt.NDArray[np.uint32]) -> int:
+    """Return a random number that spreads these ids over their places, so that few meet.
+
+    Where two meet, the processor cannot guess where the search for one of them ends.
+    """
+    tried = []
+    for _ in range(_TRIES):
+        spread = secrets.randbits(32) | 1
+        places = (keys * np.uint32(spread)).astype(np.uint64) * _places(len(keys)) >> 32
+        tried.append((len(keys) - len(np.unique(places)), spread))
+        if not tried[-1][0]:
+            break
+    return min(tried)[1]
+
+
 class SignalTables:
     """A database as tables of C, and all that is counted; see canser_database.
 
-    `ids` are the ids of its messages. All arrays are of the dtypes above.
+    `ids` are the ids of its messages, `spread` is what `find_spread` returns for them. All arrays
+    are of the dtypes above.
     """
 
     def __init__(
@@ -101,6 +126,7 @@ class SignalTables:
         cases: Records,
         links: npt.NDArray[np.uint32],
         tables: npt.NDArray[np.uint16],
+        spread: int,
     ) -> None:
         self.pages = pages.copy()
         constant: dict[str, npt.NDArray[Any]] = {
@@ -117,14 +143,14 @@ class SignalTables:
             self._point(name, array)
         database.pgn_count = len(pgns)
         database.id_count = len(ids)
-        database.spread = secrets.randbits(32) | 1
+        database.spread = spread
         database.id_most = max(_IDS_MOST, 2 * len(ids))
         self._used = ffi.new("size_t *")
         # Ids are put in their places by moving them out of a table in which they are in a row.
         self._ids = ids
         self._point("ids", ids)
         database.id_cap = len(ids)
-        self._move_ids(64)
+        self._move_ids()
 
     @property
     def unknown_ids(self) -> Records:
@@ -167,7 +193,7 @@ class SignalTables:
             done += self._used[0]
             if done == len(frames):
                 return routes, self.pages["dlcs"] - before
-            self._move_ids(2 * len(self._ids))
+            self._move_ids()
 
     def decode(self, frames: FrameArray, routes: Routes, groups: Records, signals: Records) -> None:
         """Decode contiguous frames into the columns that groups and signals point to.
@@ -189,8 +215,8 @@ class SignalTables:
             )
         )
 
-    def _move_ids(self, least: int) -> None:
-        cap = max(least, 1 << (2 * len(self._ids)).bit_length())
+    def _move_ids(self) -> None:
+        cap = _places(len(self._ids))
         ids = np.zeros(cap, KNOWN_ID_DTYPE)
         at = ffi.from_buffer("canser_known_id[]", ids)
         self._check(lib.canser_database_move_ids(self._database, at, cap))

@@ -16,6 +16,7 @@ from canser._core.signals import (
     PGN_DTYPE,
     SIGNAL_DTYPE,
     SignalTables,
+    find_spread,
 )
 from canser.signals.messages import Message, SignalInfo
 from canser.signals.plans import Plan, Record, field_of, plan_of
@@ -61,10 +62,11 @@ class Layout:
         #: Records of all signals that are decoded, of SIGNAL_DTYPE.
         self.records = np.array(self._records, SIGNAL_DTYPE)
         self._arrays = self._make_arrays()
+        self._spread = find_spread(self._arrays["ids"]["key"])
 
     def tables(self) -> SignalTables:
         """Return new tables, in which nothing is counted yet."""
-        return SignalTables(**self._arrays)
+        return SignalTables(**self._arrays, spread=self._spread)
 
     def _make_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return the tables that SignalTables takes."""
