@@ -88,6 +88,7 @@ if TYPE_CHECKING:
     from canser.signals.decoder import SignalDecoder as SignalDecoder
     from canser.signals.messages import Message as Message
     from canser.signals.messages import SignalInfo as SignalInfo
+    from canser.signals.report import UNKNOWN_ID_DTYPE as UNKNOWN_ID_DTYPE
     from canser.signals.report import DecodeReport as DecodeReport
     from canser.signals.signal import Signal as Signal
     from canser.signals.signals import Group as Group
@@ -231,7 +232,10 @@ _HOMES: Final = {
         "Message",
         "SignalInfo",
     ),
-    "canser.signals.report": ("DecodeReport",),
+    "canser.signals.report": (
+        "UNKNOWN_ID_DTYPE",
+        "DecodeReport",
+    ),
     "canser.signals.signal": ("Signal",),
     "canser.signals.signals": (
         "Group",

@@ -927,6 +927,9 @@ typedef struct {
     size_t row_cap;
     size_t row_most; /* frames that would need more rows have none */
     size_t row_count;
+    uint64_t spread;  /* any odd number, or 0: a row's slot is in the upper half of the product of
+                       * its key. One that is not known before keeps ids from being made that
+                       * meet in few slots */
     uint32_t *slots;  /* private: numbers of rows by their keys; zero at first */
     size_t slot_cap;  /* a power of two, at least twice row_cap */
     uint64_t **lists; /* pointers to CANSER_STEP_LIST elements each, zero at first; may change

@@ -4,7 +4,7 @@
  * channel in the place of the dlc. */
 #include "runs.h"
 
-/* The rows are looked up by a product with 2^64 divided by the golden ratio, which spreads keys
+/* Without another number rows are looked up by 2^64 divided by the golden ratio, which spreads keys
  * that differ in few bits. */
 #define SPREAD UINT64_C(0x9E3779B97F4A7C15)
 
@@ -74,18 +74,20 @@ typedef struct {
     canser_id *rows;
     uint32_t *slots;
     size_t last_slot; /* one less than their number, which is a power of two */
+    uint64_t spread;
 } row_table;
 
 CANSER_INLINE row_table table_of(const canser_ids *self)
 {
-    return (row_table){self->rows, self->slots, self->slot_cap - 1};
+    return (row_table){self->rows, self->slots, self->slot_cap - 1,
+                       self->spread ? self->spread : SPREAD};
 }
 
 /* Return where the number of the row of a key stands; or where it is to be put: 0 is there. */
 CANSER_INLINE uint32_t *find_slot(row_table table, uint64_t key)
 {
     /* The upper half of the product depends on all bits. */
-    size_t at = (size_t)((key ^ key >> 32) * SPREAD >> 32) & table.last_slot;
+    size_t at = (size_t)((key ^ key >> 32) * table.spread >> 32) & table.last_slot;
 
     while (table.slots[at] && load(&table.rows[table.slots[at] - 1]) != key)
         at = (at + 1) & table.last_slot;

@@ -57,6 +57,7 @@ NAMES = [
     "Resampled",
     "Database",
     "DecodeReport",
+    "UNKNOWN_ID_DTYPE",
     "Group",
     "Message",
     "Signal",

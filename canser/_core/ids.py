@@ -1,5 +1,6 @@
 """Frames by their ids: C's work for each frame, and its memory."""
 
+import secrets
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -86,6 +87,7 @@ class Rows:
     ) -> None:
         self._ids = ffi.new("canser_ids *")
         self._ids.is_remote_apart = remote_apart
+        self._ids.spread = secrets.randbits(64) | 1
         self._ids.row_most = _MOST if rows_most is None else rows_most
         self._used = ffi.new("size_t *")
         self._rows = np.zeros(0, ROW_DTYPE)

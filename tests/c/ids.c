@@ -64,6 +64,7 @@ static void begin(walk *self, bool is_remote_apart, bool keeps_steps, size_t row
     memset(&self->ids, 0, sizeof self->ids);
     self->ids.is_remote_apart = is_remote_apart;
     self->ids.row_most = row_most;
+    self->ids.spread = random_below(2) ? 0 : random_word() | 1;
     if (keeps_steps)
         self->ids.lists = self->lists;
 }
