@@ -200,7 +200,7 @@ def test_ticks_tell_elapsed_time_behind_a_hole() -> None:
 
 
 def test_the_load_is_not_0_in_a_hole() -> None:
-    """Nobody knows whether the bus was silent there."""
+    """It is not known whether the bus was silent there."""
     frames = with_hole(30)
     (line,) = plots.bus_load(frames, 500_000).axes[0].lines
     x, y = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
