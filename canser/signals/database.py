@@ -231,7 +231,7 @@ class Database:
         return frames
 
     def _layout(self, selected: frozenset[str] | None, *, keeps_raw: bool) -> Layout:
-        """Return the tables for these signals; the last ones are kept, as large ones take 50 ms."""
+        """Return the tables for these signals; the last ones are kept, as they take time."""
         key = selected, keeps_raw
         if key not in self._layouts:
             layout = Layout(tuple(self.messages.values()), selected=selected, keeps_raw=keeps_raw)
