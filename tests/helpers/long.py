@@ -12,7 +12,7 @@ import pytest
 LONG: Final = os.environ.get("CANSER_LONG", "") == "1"
 
 # Examples of Hypothesis for a test.
-EXAMPLES: Final = 80 if LONG else 30
+EXAMPLES: Final = 120 if LONG else 30
 
 # A test that does more with CANSER_LONG=1.
 longer: Final = pytest.mark.long
