@@ -998,6 +998,9 @@ int canser_order_rows(const uint32_t *row_of, const int64_t *steps, size_t frame
 #define CANSER_NO_ROUTE   0xffff
 #define CANSER_FAR_ROUTE  0xfffe
 
+/* No frame of a message begins so: it would be an error. */
+#define CANSER_NO_HEAD 0xffffffffffffffff
+
 /* Where a number lies in the 8 bytes of data, which are one number of 64 bits. */
 typedef struct {
     uint8_t is_big;    /* 1: the first byte is the highest one; 0: it is the lowest one */
@@ -1050,7 +1053,6 @@ typedef struct {
 
 /* What is there together: what a message always has, or what a value of a multiplexer selects. */
 typedef struct {
-    uint64_t dlcs[9]; /* frames by their dlc, counted */
     uint32_t first_group;
     uint32_t group_count; /* groups by their least_dlc, the smallest first */
     uint32_t first_mux;
@@ -1080,10 +1082,17 @@ typedef struct {
     uint32_t link_count;
 } canser_case;
 
-/* An id that was seen, or that a message has; in an open hash. */
+/* An id that was seen, or that a message has; in an open hash.
+ *
+ * Nearly all frames of an id have the same first 8 bytes: id, ext, rtr, dlc and err. So those of
+ * the last one that only needed to be counted are kept, and the next frame with the same ones costs
+ * little. */
 typedef struct {
-    uint32_t key;   /* the id, with bit 31 set if it is an extended one */
+    uint64_t head;    /* private: the 8 bytes, or CANSER_NO_HEAD */
+    uint32_t counter; /* private: where such frames are counted */
+    uint32_t key;     /* the id, with bit 31 set if it is an extended one */
     uint32_t page;  /* that of its message and one more; CANSER_NO_MESSAGE; 0: the place is free */
+    uint32_t route; /* private */
     uint64_t count; /* frames, if it has no message */
 } canser_known_id;
 
@@ -1098,7 +1107,7 @@ typedef struct {
  * and numbers in them that are in range; it zeroes what is counted. */
 typedef struct {
     canser_known_id *ids;
-    size_t id_cap; /* a power of two, at least twice the ids of the database */
+    size_t id_cap; /* a power of two up to 2^31, at least twice the ids of the database */
     uint32_t
         spread; /* any odd number: an id's place is in the upper bits of their product. One that
                  * is not known before keeps ids from being made that meet in few places */
@@ -1107,6 +1116,8 @@ typedef struct {
     const canser_pgn *pgns; /* the smallest first */
     size_t pgn_count;
     canser_page *pages;
+    size_t page_count;
+    uint64_t *dlcs; /* counted: frames of a page by their dlc, 9 for each page */
     const canser_mux *muxes;
     const canser_case *cases;
     const uint32_t *links;

@@ -225,20 +225,31 @@ CANSER_INLINE uint32_t key_of(const canser_frame *frame)
 /* Where ids are looked up. A copy of this stays in registers. */
 typedef struct {
     canser_known_id *ids;
-    uint64_t cap;
+    size_t cap;
     uint32_t spread;
+    unsigned shift;
 } id_table;
 
 CANSER_INLINE id_table table_of(const canser_database *self)
 {
-    return (id_table){self->ids, self->id_cap, self->spread};
+    id_table table = {self->ids, self->id_cap, self->spread, 32};
+
+    for (size_t cap = table.cap; cap > 1; cap >>= 1)
+        table.shift--;
+    return table;
+}
+
+/* Return where an id is looked for first: the upper bits of the product depend on all bits of the
+ * key. */
+CANSER_INLINE size_t home_of(id_table table, uint32_t key)
+{
+    return (uint32_t)(key * table.spread) >> table.shift;
 }
 
 /* Return the place of an id: its own, or a free one. */
 CANSER_INLINE canser_known_id *find_id(id_table table, uint32_t key)
 {
-    /* The upper bits of the product depend on all bits of the key. */
-    uint64_t at = (uint64_t)(key * table.spread) * table.cap >> 32;
+    size_t at = home_of(table, key);
 
     while (table.ids[at].key != key && table.ids[at].page)
         at = (at + 1) & (table.cap - 1);
@@ -316,7 +327,7 @@ static void count_page(canser_database *self, uint32_t number, const canser_fram
     canser_page *const page = &self->pages[number];
     const uint32_t dlc = dlc_of(frame);
 
-    page->dlcs[dlc]++;
+    self->dlcs[9 * (size_t)number + dlc]++;
     found->is_short |= dlc < page->full_dlc;
     for (uint32_t i = 0; i < page->mux_count; i++) {
         const canser_mux *const mux = &self->muxes[page->first_mux + i];
@@ -368,7 +379,7 @@ static bool keep_page(canser_database *self, uint32_t number, const canser_frame
 /* Whether a table of ids may have this many places. */
 CANSER_INLINE bool is_fit(size_t id_cap)
 {
-    return id_cap > 1 && !(id_cap & (id_cap - 1)) && id_cap <= UINT32_MAX;
+    return id_cap > 1 && !(id_cap & (id_cap - 1)) && id_cap <= UINT32_MAX / 2 + 1;
 }
 
 static int check(const canser_database *self, const canser_frame *frames, const uint16_t *routes,
@@ -396,13 +407,66 @@ CANSER_COLD bool add_id(canser_database *self, const canser_frame *frame, uint32
         return false;
     self->id_count++;
     *find_id(table_of(self), key_of(frame)) =
-        (canser_known_id){key_of(frame), *page, *page == CANSER_NO_MESSAGE};
+        (canser_known_id){.head = CANSER_NO_HEAD,
+                          .key = key_of(frame),
+                          .page = *page,
+                          .count = *page == CANSER_NO_MESSAGE};
     return true;
 }
 
 CANSER_INLINE uint16_t route_to(uint32_t page)
 {
     return (uint16_t)(page < CANSER_FAR_ROUTE ? page : CANSER_FAR_ROUTE);
+}
+
+/* Count a frame of any kind, and find its route. Returns false if its id is new, and there is no
+ * place for it. */
+CANSER_NOINLINE bool count_frame(canser_database *self, id_table table, const canser_frame *frame,
+                                 uint16_t *route)
+{
+    canser_known_id *known;
+    canser_page *page;
+    uint32_t number;
+    lack found = {false, false};
+
+    *route = CANSER_NO_ROUTE;
+    if (!is_usual(frame)) {
+        self->error_count += frame->err;
+        self->remote_count += frame->rtr && !frame->err;
+        self->other_count += !frame->rtr && !frame->err;
+        return true;
+    }
+    known = find_id(table, key_of(frame));
+    number = known->page;
+    if (number == CANSER_NO_MESSAGE) {
+        known->count++;
+        return true;
+    }
+    if (!number) {
+        if (!add_id(self, frame, &number))
+            return false;
+        if (number == CANSER_NO_MESSAGE)
+            return true;
+    }
+    number--;
+    *route = route_to(number);
+    page = &self->pages[number];
+    if (!page->mux_count) {
+        const size_t counter = 9 * (size_t)number + dlc_of(frame);
+
+        self->dlcs[counter]++;
+        /* The place of an id that is not kept is free. */
+        if (known->page && counter <= UINT32_MAX) {
+            known->head = load_word((const uint8_t *)frame);
+            known->counter = (uint32_t)counter;
+            known->route = *route;
+        }
+        return true;
+    }
+    count_page(self, number, frame, &found);
+    page->short_count += found.is_short;
+    page->unknown_count += found.is_unknown;
+    return true;
 }
 
 int canser_database_count(canser_database *self, const canser_frame *frames, size_t frame_count,
@@ -420,40 +484,14 @@ int canser_database_count(canser_database *self, const canser_frame *frames, siz
         return CANSER_NULL;
     table = table_of(self);
     for (; i < frame_count; i++) {
-        const canser_frame *const frame = &frames[i];
-        canser_known_id *known;
-        canser_page *page;
-        uint32_t number;
-        lack found = {false, false};
+        const canser_known_id *const home = &table.ids[home_of(table, key_of(&frames[i]))];
 
-        routes[i] = CANSER_NO_ROUTE;
-        if (!is_usual(frame)) {
-            self->error_count += frame->err;
-            self->remote_count += frame->rtr && !frame->err;
-            self->other_count += !frame->rtr && !frame->err;
-            continue;
+        if (CANSER_LIKELY(home->head == load_word((const uint8_t *)&frames[i]))) {
+            self->dlcs[home->counter]++;
+            routes[i] = (uint16_t)home->route;
+        } else if (!count_frame(self, table, &frames[i], &routes[i])) {
+            break;
         }
-        known = find_id(table, key_of(frame));
-        number = known->page;
-        if (number == CANSER_NO_MESSAGE) {
-            known->count++;
-            continue;
-        }
-        if (!number) {
-            if (!add_id(self, frame, &number))
-                break;
-            if (number == CANSER_NO_MESSAGE)
-                continue;
-        }
-        routes[i] = route_to(number - 1);
-        page = &self->pages[number - 1];
-        if (CANSER_LIKELY(!page->mux_count)) {
-            page->dlcs[dlc_of(frame)]++;
-            continue;
-        }
-        count_page(self, number - 1, frame, &found);
-        page->short_count += found.is_short;
-        page->unknown_count += found.is_unknown;
     }
     *used = i;
     return CANSER_OK;
@@ -506,14 +544,23 @@ int canser_database_decode(canser_database *self, const canser_frame *frames, si
 
 int canser_database_move_ids(canser_database *self, canser_known_id *ids, size_t id_cap)
 {
+    const canser_known_id *before;
+    size_t count;
+    id_table table;
+
     if (!self || !ids || !self->ids)
         return CANSER_NULL;
     if (!is_fit(id_cap) || self->id_count >= id_cap)
         return CANSER_RANGE;
-    for (size_t i = 0; i < self->id_cap; i++)
-        if (self->ids[i].page)
-            *find_id((id_table){ids, id_cap, self->spread}, self->ids[i].key) = self->ids[i];
+    before = self->ids;
+    count = self->id_cap;
     self->ids = ids;
     self->id_cap = id_cap;
+    table = table_of(self);
+    for (size_t i = 0; i < count; i++)
+        if (before[i].page)
+            *find_id(table, before[i].key) = before[i];
+    for (size_t i = 0; i < id_cap; i++)
+        ids[i].head = CANSER_NO_HEAD;
     return CANSER_OK;
 }

@@ -77,7 +77,7 @@ CASE_DTYPE: Final = _struct("canser_case")
 KNOWN_ID_DTYPE: Final = _struct("canser_known_id")
 PGN_DTYPE: Final = _struct("canser_pgn")
 
-# Ids that are kept at most, 24 bytes each. Only noise has more.
+# Ids that are kept at most, 32 bytes each, with 2 to 4 places for each. Only noise has more.
 _IDS_MOST: Final = 1 << 20
 
 # Numbers that are tried to spread the ids of a database.
@@ -129,6 +129,8 @@ class SignalTables:
         spread: int,
     ) -> None:
         self.pages = pages.copy()
+        #: The frames of each page by their dlc.
+        self.dlcs = np.zeros((len(pages), 9), np.uint64)
         constant: dict[str, npt.NDArray[Any]] = {
             "pgns": pgns,
             "muxes": muxes,
@@ -139,9 +141,11 @@ class SignalTables:
         self._constant = constant
         self._database = database = ffi.new("canser_database *")
         self._point("pages", self.pages)
+        self._point("dlcs", self.dlcs)
         for name, array in constant.items():
             self._point(name, array)
         database.pgn_count = len(pgns)
+        database.page_count = len(pages)
         database.id_count = len(ids)
         database.spread = spread
         database.id_most = max(_IDS_MOST, 2 * len(ids))
@@ -174,12 +178,12 @@ class SignalTables:
         return int(self._database.other_count)
 
     def count(self, frames: FrameArray) -> tuple[Routes, npt.NDArray[np.uint64]]:
-        """Count contiguous frames: in `unknown_ids` and `pages`.
+        """Count contiguous frames: in `unknown_ids`, `dlcs` and `pages`.
 
         Returns where each belongs, and how many of these frames each page has by their dlc, an
         array of shape (pages, 9).
         """
-        before = self.pages["dlcs"].copy()
+        before = self.dlcs.copy()
         routes = np.empty(len(frames), np.uint16)
         frames_at, routes_at = input_frames(frames), ffi.from_buffer("uint16_t[]", routes)
         done = 0
@@ -192,7 +196,7 @@ class SignalTables:
             )
             done += self._used[0]
             if done == len(frames):
-                return routes, self.pages["dlcs"] - before
+                return routes, self.dlcs - before
             self._move_ids()
 
     def decode(self, frames: FrameArray, routes: Routes, groups: Records, signals: Records) -> None:

@@ -74,12 +74,11 @@ class Layout:
         names = ("first_mux", "mux_count", "full_dlc")
         for name, values in zip(names, np.array(self._page_records).T, strict=bool(self.pages)):
             pages[name] = values
-        ids = [
-            (message.id | message.ext << 31, root + 1, 0)
-            for message, root in zip(self.messages, self.roots, strict=True)
-        ]
+        ids = np.zeros(len(self.messages), KNOWN_ID_DTYPE)
+        ids["key"] = [message.id | message.ext << 31 for message in self.messages]
+        ids["page"] = np.array(self.roots) + 1
         return {
-            "ids": np.array(ids, KNOWN_ID_DTYPE),
+            "ids": ids,
             "pgns": self._pgns(),
             "pages": pages,
             "muxes": np.array(self._muxes, MUX_DTYPE),

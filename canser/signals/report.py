@@ -86,7 +86,7 @@ def make_report(
 ) -> DecodeReport:
     """Return what the tables have counted in so many frames; `roots`: the messages' first pages."""
     pages = tables.pages[roots]
-    dlcs = pages["dlcs"]
+    dlcs = tables.dlcs[roots]
     frames = _named(messages, dlcs.sum(axis=1))
     # Those with multiplexers are counted one by one, as their pages differ.
     short = np.where(np.arange(9) < pages["full_dlc"][:, None], dlcs, 0).sum(axis=1)

@@ -27,6 +27,7 @@ static void check(bool holds, const char *what)
  * behind, one by even cases and both by the last one. Each page has one group. */
 static canser_known_id ids[MESSAGES], places[16384];
 static canser_page pages[GROUPS];
+static uint64_t dlcs[9 * GROUPS];
 static canser_mux muxes[MESSAGES];
 static canser_case cases[MESSAGES * CASES];
 static uint32_t links[4 * MESSAGES];
@@ -84,13 +85,15 @@ static void make_database(void)
 {
     memset(&database, 0, sizeof database);
     memset(pages, 0, sizeof pages);
+    memset(dlcs, 0, sizeof dlcs);
     memset(groups, 0, sizeof groups);
     memset(tables, 0, sizeof tables);
     for (uint32_t i = 0; i < MESSAGES; i++) {
         canser_mux *const mux = &muxes[i];
 
         /* The last message is found by its parameter group only. */
-        ids[i] = (canser_known_id){(i == 4 ? 0x1fffffff : i / 2) | i % 2 << 31, 3 * i + 1, 0};
+        ids[i] = (canser_known_id){.key = (i == 4 ? 0x1fffffff : i / 2) | i % 2 << 31,
+                                   .page = 3 * i + 1};
         pages[3 * i].first_mux = i;
         pages[3 * i].mux_count = i > 1;
         mux->field = random_field();
@@ -137,6 +140,8 @@ static void make_database(void)
     database.pgn_count = 1;
     database.spread = (uint32_t)random_word() | 1;
     database.pages = pages;
+    database.page_count = GROUPS;
+    database.dlcs = dlcs;
     database.muxes = muxes;
     database.cases = cases;
     database.links = links;
@@ -343,7 +348,7 @@ static void make_columns(void)
 
         group->cap = 0;
         for (uint32_t dlc = group->least_dlc; dlc < 9; dlc++)
-            group->cap += pages[i].dlcs[dlc];
+            group->cap += dlcs[9 * i + dlc];
         group->ts = (int64_t *)(void *)guarded(8 * FRAMES) - group->cap;
         group->block =
             (canser_payload *)(void *)guarded(CANSER_SIGNAL_BLOCK * sizeof *group->block) -
@@ -425,7 +430,8 @@ static void check_roundings(void)
     static int64_t ts[65536];
     static canser_payload block[CANSER_SIGNAL_BLOCK];
     static canser_known_id place[64];
-    canser_known_id id = {0x123, 1, 0};
+    canser_known_id id = {.key = 0x123, .page = 1};
+    uint64_t counts[9] = {0};
     canser_page page = {.group_count = 1};
     canser_signal signal = {.factor = 0.1, .addend = -40.05, .values = values};
     canser_group group = {.ts = ts, .cap = 65536, .block = block, .signal_count = 1};
@@ -436,6 +442,8 @@ static void check_roundings(void)
     signal.field = (canser_field){0, 0, 16, 0};
     signal.kind = CANSER_SIGNAL_SCALED;
     one.pages = &page;
+    one.page_count = 1;
+    one.dlcs = counts;
     one.groups = &group;
     one.group_count = 1;
     one.signals = &signal;
