@@ -7,10 +7,7 @@
  * device clock.
  */
 #include "clock.h"
-
-#if defined(__x86_64__)
-#include <emmintrin.h>
-#endif
+#include "past.h"
 
 /* Bytes before the stretch that a guess reads. A scan that starts anywhere falls into step
  * with the true one within some packets, or never. In `cantalope`, which has no marks, it
@@ -178,25 +175,6 @@ int canser_decoder_join(canser_decoder *self, canser_chunk *chunk, canser_frame 
     if (more->bytes_skipped)
         self->skip_end = chunk->decoder.skip_end;
     return CANSER_OK;
-}
-
-/* Store a word that is not read soon, past the cache if the machine can: otherwise it would read
- * each line of memory before it is written over. */
-CANSER_INLINE void store_past(void *to, uint64_t word)
-{
-#if defined(__x86_64__)
-    _mm_stream_si64(to, (long long)word);
-#else
-    memcpy(to, &word, sizeof word);
-#endif
-}
-
-/* Make stores past the cache visible to other threads. */
-CANSER_INLINE void settle_stores(void)
-{
-#if defined(__x86_64__)
-    _mm_sfence();
-#endif
 }
 
 int canser_chunk_deliver(const canser_chunk *self, canser_frame *frames, size_t first,
