@@ -1031,24 +1031,23 @@ typedef struct {
     uint8_t is_raw; /* 1: the raw number itself */
 } canser_signal;
 
-/* The data of a frame, as it lies in memory, and its time. */
+/* Private: where the next sample of a group goes in its block, and the end of its room there. */
 typedef struct {
-    uint64_t data;
-    int64_t ts;
-} canser_payload;
+    uint64_t *next;
+    const uint64_t *end;
+} canser_cursor;
 
 /* Signals that are in the same frames. */
 typedef struct {
     int64_t *ts; /* the column of times */
     size_t cap;
     size_t count;
-    canser_payload *block; /* private: CANSER_SIGNAL_BLOCK elements */
-    uint32_t pending;      /* private: samples in the block, and when it is to be decoded */
-    uint32_t limit;
+    uint64_t *block; /* private, of 2 * CANSER_SIGNAL_BLOCK elements: data as it lies in frames,
+                      * then times */
+    canser_cursor cursor;
     uint32_t first_signal;
     uint32_t signal_count;
     uint32_t least_dlc; /* shorter frames do not have these signals */
-    uint32_t has_big;   /* 1: a signal is big-endian */
 } canser_group;
 
 /* What is there together: what a message always has, or what a value of a multiplexer selects. */
@@ -1124,6 +1123,9 @@ typedef struct {
     const uint16_t *tables;
     canser_group *groups;
     size_t group_count;
+    canser_cursor **cursors; /* private: that of a page's group, if it is the only one */
+    canser_cursor nowhere;   /* private: that of all other pages, without room */
+    uint32_t is_past;        /* private: whether columns are stored past the cache */
     const canser_signal *signals;
     uint64_t remote_count; /* remote frames, which have no data */
     uint64_t error_count;

@@ -4,9 +4,12 @@
  * data and time go to the groups of its message, and of the pages that its multiplexers select.
  * When a group has a block of them, each of its signals is decoded in a loop of its own, in which
  * nothing depends on the frame. */
-#include "protocol.h"
+#include "past.h"
 
 #define BLOCK CANSER_SIGNAL_BLOCK
+
+/* Columns of more bytes together do not stay in the cache, and are stored past it. */
+#define PAST_FROM (UINT64_C(16) << 20)
 
 CANSER_INLINE uint64_t swapped_word(uint64_t word)
 {
@@ -86,20 +89,20 @@ CANSER_INLINE double of_float64(uint64_t bits)
     return value;
 }
 
-/* Fill a column: `number` is that of the block's element i. */
+/* Fill `out`: `number` is that of the block's element i. */
 #define FILL(type, value)                                                                          \
     do {                                                                                           \
-        type *const restrict out = (type *)signal->values + at;                                    \
+        type *const restrict to = out;                                                             \
                                                                                                    \
         for (size_t i = 0; i < count; i++) {                                                       \
             const uint64_t number = numbers[i];                                                    \
                                                                                                    \
-            out[i] = (value);                                                                      \
+            to[i] = (value);                                                                       \
         }                                                                                          \
     } while (0)
 
 static void fill_whole(const canser_signal *signal, const uint64_t *restrict numbers, size_t count,
-                       size_t at)
+                       void *restrict out)
 {
     const canser_field field = signal->field;
     const unsigned shift = field.shift;
@@ -129,7 +132,7 @@ static void fill_whole(const canser_signal *signal, const uint64_t *restrict num
 }
 
 static void fill_scaled(const canser_signal *signal, const uint64_t *restrict numbers, size_t count,
-                        size_t at)
+                        void *restrict out)
 {
     const canser_field field = signal->field;
     const unsigned shift = field.shift;
@@ -152,11 +155,11 @@ static void fill_scaled(const canser_signal *signal, const uint64_t *restrict nu
 }
 
 static void fill_float(const canser_signal *signal, const uint64_t *restrict numbers, size_t count,
-                       size_t at)
+                       void *restrict out)
 {
     const canser_field field = signal->field;
     const unsigned shift = field.shift;
-    double *const restrict values = (double *)signal->values + at;
+    double *const restrict values = out;
 
     if (signal->kind == CANSER_SIGNAL_FLOAT64)
         FILL(double, of_float64(number));
@@ -169,49 +172,114 @@ static void fill_float(const canser_signal *signal, const uint64_t *restrict num
             values[i] = values[i] * signal->factor + signal->addend;
 }
 
-/* Decode what is in the block of a group. Returns false if the group has no room for more. */
-CANSER_NOINLINE bool decode_block(const canser_database *self, canser_group *group)
+/* Fill a column whose numbers have up to 31 bits, past the cache: as fill_scaled(), without a room
+ * between. Returns how many elements are filled, up to 3 less than `count`. */
+CANSER_INLINE size_t fill_past(const canser_signal *signal, const uint64_t *restrict numbers,
+                               size_t count, uint64_t *column)
 {
-    uint64_t numbers[2][BLOCK];
-    const size_t count = group->pending;
-    const canser_payload *const block = group->block;
-    int64_t *const ts = group->ts + group->count;
+    size_t i = 0;
 
-    for (size_t i = 0; i < count; i++) {
-        numbers[0][i] = number_of(block[i].data, false);
-        ts[i] = block[i].ts;
+#if CANSER_HAS_PAST
+    const __m128i shift = _mm_cvtsi32_si128(signal->field.shift);
+    const __m128i rest = _mm_cvtsi32_si128(32 - signal->field.bit_count);
+    const __m128d factor = _mm_set1_pd(signal->factor);
+    const __m128d addend = _mm_set1_pd(signal->addend);
+
+    if (signal->field.bit_count > 31 || (uintptr_t)column % 16)
+        return 0;
+    for (; i + 4 <= count; i += 4) {
+        const __m128i *const from = (const __m128i *)(const void *)(numbers + i);
+        double *const to = (double *)column + i;
+        const __m128i low = _mm_srl_epi64(_mm_loadu_si128(from), shift);
+        const __m128i high = _mm_srl_epi64(_mm_loadu_si128(from + 1), shift);
+        __m128i four = _mm_castps_si128(
+            _mm_shuffle_ps(_mm_castsi128_ps(low), _mm_castsi128_ps(high), _MM_SHUFFLE(2, 0, 2, 0)));
+        __m128d two;
+
+        four = _mm_sll_epi32(four, rest);
+        four = signal->field.is_signed ? _mm_sra_epi32(four, rest) : _mm_srl_epi32(four, rest);
+        two = _mm_cvtepi32_pd(four);
+        _mm_stream_pd(to, _mm_add_pd(_mm_mul_pd(two, factor), addend));
+        two = _mm_cvtepi32_pd(_mm_shuffle_epi32(four, _MM_SHUFFLE(3, 2, 3, 2)));
+        _mm_stream_pd(to + 2, _mm_add_pd(_mm_mul_pd(two, factor), addend));
     }
-    if (group->has_big)
-        for (size_t i = 0; i < count; i++)
-            numbers[1][i] = number_of(block[i].data, true);
+#endif
+    return i;
+}
+
+/* Let a group's block take as many samples as the group has room for. */
+CANSER_INLINE void empty_block(canser_group *group)
+{
+    const size_t room = group->cap - group->count;
+
+    group->cursor.next = group->block;
+    group->cursor.end = group->block + (room < BLOCK ? room : BLOCK);
+}
+
+/* Decode what is in the block of a group, and empty it. */
+static void decode_block(const canser_database *self, canser_group *group)
+{
+    uint64_t swapped[BLOCK];
+    const uint64_t *const data = group->block;
+    const size_t count = (size_t)(group->cursor.next - data);
+    bool is_swapped = false;
+    union {
+        uint64_t words[BLOCK];
+        double numbers[BLOCK];
+    } room;
+
+    if (self->is_past)
+        copy_past((uint64_t *)group->ts + group->count, data + BLOCK, count);
+    else
+        memcpy(group->ts + group->count, data + BLOCK, 8 * count);
     for (size_t i = 0; i < group->signal_count; i++) {
         const canser_signal *const signal = &self->signals[group->first_signal + i];
-        const uint64_t *const of_signal = numbers[signal->field.is_big != 0];
+        uint64_t *const column = (uint64_t *)signal->values + group->count;
+        void *const out = self->is_past ? (void *)&room : column;
+        const uint64_t *numbers = data;
+        size_t done = 0;
 
+        if (signal->field.is_big != CANSER_BIG_ENDIAN) {
+            for (size_t j = 0; !is_swapped && j < count; j++)
+                swapped[j] = swapped_word(data[j]);
+            is_swapped = true;
+            numbers = swapped;
+        }
+        if (self->is_past && signal->kind == CANSER_SIGNAL_SCALED)
+            done = fill_past(signal, numbers, count, column);
         if (signal->kind == CANSER_SIGNAL_SCALED)
-            fill_scaled(signal, of_signal, count, group->count);
+            fill_scaled(signal, numbers + done, count - done, out);
         else if (signal->kind == CANSER_SIGNAL_WHOLE)
-            fill_whole(signal, of_signal, count, group->count);
+            fill_whole(signal, numbers, count, out);
         else
-            fill_float(signal, of_signal, count, group->count);
+            fill_float(signal, numbers, count, out);
+        if (self->is_past)
+            copy_past(column + done, room.words, count - done);
     }
     group->count += count;
-    group->pending = 0;
-    group->limit =
-        (uint32_t)(group->cap - group->count < BLOCK ? group->cap - group->count : BLOCK);
-    return group->limit > 0;
+    empty_block(group);
+}
+
+/* Keep a frame in a block with room for it. */
+CANSER_INLINE void keep(canser_cursor *cursor, const canser_frame *frame)
+{
+    uint64_t *const next = cursor->next;
+
+    next[0] = load_word(frame->data);
+    next[BLOCK] = (uint64_t)frame->ts;
+    cursor->next = next + 1;
 }
 
 /* Keep a frame for a group. Returns false if the group has no room. */
-CANSER_INLINE bool keep(const canser_database *self, canser_group *group, const canser_frame *frame)
+CANSER_INLINE bool keep_for(const canser_database *self, canser_group *group,
+                            const canser_frame *frame)
 {
-    canser_payload *sample;
-
-    if (group->pending == group->limit && !decode_block(self, group))
-        return false;
-    sample = &group->block[group->pending++];
-    sample->data = load_word(frame->data);
-    sample->ts = frame->ts;
+    if (group->cursor.next == group->cursor.end) {
+        decode_block(self, group);
+        if (group->cursor.next == group->cursor.end)
+            return false;
+    }
+    keep(&group->cursor, frame);
     return true;
 }
 
@@ -357,7 +425,7 @@ static bool keep_page(canser_database *self, uint32_t number, const canser_frame
 
         if (dlc < group->least_dlc)
             break;
-        if (!keep(self, group, frame))
+        if (!keep_for(self, group, frame))
             return false;
     }
     for (uint32_t i = 0; i < page->mux_count; i++) {
@@ -505,40 +573,74 @@ CANSER_COLD uint32_t far_page(const canser_database *self, const canser_frame *f
     return page || !frame->ext ? page : find_pgn(self, frame->id);
 }
 
+/* Whether all frames of a page are for just one group. */
+static bool is_simple(const canser_database *self, size_t number)
+{
+    const canser_page *const page = &self->pages[number];
+    uint64_t shorter = 0;
+
+    if (page->group_count != 1 || page->mux_count)
+        return false;
+    for (size_t dlc = 0; dlc < self->groups[page->first_group].least_dlc; dlc++)
+        shorter += self->dlcs[9 * number + dlc];
+    return !shorter;
+}
+
+/* Keep a frame whose page is not simple, or has no room in its block. Returns false if a group has
+ * no room. */
+CANSER_NOINLINE bool keep_other(canser_database *self, const canser_frame *frame, uint32_t route)
+{
+    uint32_t page = route + 1;
+
+    if (route == CANSER_NO_ROUTE)
+        return true;
+    if (route == CANSER_FAR_ROUTE)
+        page = far_page(self, frame);
+    return !page || page == CANSER_NO_MESSAGE || keep_page(self, page - 1, frame);
+}
+
+/* Whether all columns are too large for the cache. */
+static bool is_large(const canser_database *self)
+{
+    uint64_t words = 0;
+
+    for (size_t i = 0; i < self->group_count; i++)
+        words += (uint64_t)self->groups[i].cap * (1 + self->groups[i].signal_count);
+    return CANSER_HAS_PAST && words > PAST_FROM / sizeof words;
+}
+
 int canser_database_decode(canser_database *self, const canser_frame *frames, size_t frame_count,
                            const uint16_t *routes)
 {
     const int status = check(self, frames, routes, frame_count);
+    canser_cursor **cursors;
+    size_t route_count;
     bool has_room = true;
 
     if (status)
         return status;
-    for (size_t i = 0; i < frame_count && has_room; i++) {
-        const canser_frame *const frame = &frames[i];
-        const canser_page *page;
-        uint32_t number = routes[i];
+    cursors = self->cursors;
+    route_count = self->page_count < CANSER_FAR_ROUTE ? self->page_count : CANSER_FAR_ROUTE;
+    self->is_past = is_large(self);
+    for (size_t i = 0; i < self->group_count; i++)
+        empty_block(&self->groups[i]);
+    for (size_t i = 0; i < route_count; i++)
+        cursors[i] =
+            is_simple(self, i) ? &self->groups[self->pages[i].first_group].cursor : &self->nowhere;
+    for (size_t i = 0; i < frame_count; i++) {
+        const uint32_t route = routes[i];
 
-        if (number == CANSER_NO_ROUTE)
-            continue;
-        if (number == CANSER_FAR_ROUTE) {
-            const uint32_t far = far_page(self, frame);
-
-            if (!far || far == CANSER_NO_MESSAGE)
-                continue;
-            number = far - 1;
-        }
-        page = &self->pages[number];
-        if (CANSER_LIKELY(page->group_count == 1 && !page->mux_count)) {
-            canser_group *const group = &self->groups[page->first_group];
-
-            if (dlc_of(frame) >= group->least_dlc)
-                has_room = keep(self, group, frame);
-        } else if (page->group_count || page->mux_count) {
-            has_room = keep_page(self, number, frame);
+        if (CANSER_LIKELY(route < route_count && cursors[route]->next != cursors[route]->end)) {
+            keep(cursors[route], &frames[i]);
+        } else if (!keep_other(self, &frames[i], route)) {
+            has_room = false;
+            break;
         }
     }
     for (size_t i = 0; i < self->group_count; i++)
         decode_block(self, &self->groups[i]);
+    if (self->is_past)
+        settle_stores();
     return has_room ? CANSER_OK : CANSER_RANGE;
 }
 

@@ -142,6 +142,8 @@ class SignalTables:
         self._database = database = ffi.new("canser_database *")
         self._point("pages", self.pages)
         self._point("dlcs", self.dlcs)
+        self._cursors = np.empty(len(pages), np.uintp)
+        self._point("cursors", self._cursors)
         for name, array in constant.items():
             self._point(name, array)
         database.pgn_count = len(pgns)

@@ -167,8 +167,6 @@ class SignalDecoder:
         counts = np.bincount(of_group, minlength=len(parts))
         groups["signal_count"] = counts
         groups["first_signal"] = np.cumsum(counts) - counts
-        is_big = np.bincount(of_group, signals["field"]["is_big"], minlength=len(parts))
-        groups["has_big"] = is_big > 0
         # The rows of a group's columns: the times, then the signals.
         steps = np.array([rows.strides[0] for rows in columns], np.uint64)
         row = np.arange(len(signals)) - groups["first_signal"][of_group] + 1
