@@ -77,6 +77,9 @@ CASE_DTYPE: Final = _struct("canser_case")
 KNOWN_ID_DTYPE: Final = _struct("canser_known_id")
 PGN_DTYPE: Final = _struct("canser_pgn")
 
+# The types of a database's fields, by their names.
+_POINTERS: Final = {name: field.type for name, field in ffi.typeof("canser_database").fields}
+
 # Ids that are kept at most, 32 bytes each, with 2 to 4 places for each. Only noise has more.
 _IDS_MOST: Final = 1 << 20
 
@@ -229,9 +232,7 @@ class SignalTables:
         self._ids = ids
 
     def _point(self, name: str, array: npt.NDArray[Any]) -> None:
-        kind = ffi.typeof("canser_database").fields
-        pointer = dict(kind)[name].type
-        setattr(self._database, name, ffi.cast(pointer, array.ctypes.data))
+        setattr(self._database, name, ffi.cast(_POINTERS[name], array.ctypes.data))
 
     @staticmethod
     def _check(status: int) -> None:

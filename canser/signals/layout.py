@@ -19,6 +19,7 @@ from canser._core.signals import (
     find_spread,
 )
 from canser.signals.messages import Message, SignalInfo
+from canser.signals.parts import Part, Parts
 from canser.signals.plans import Plan, Record, field_of, plan_of
 
 __all__ = ["Layout", "Page"]
@@ -62,11 +63,54 @@ class Layout:
         #: Records of all signals that are decoded, of SIGNAL_DTYPE.
         self.records = np.array(self._records, SIGNAL_DTYPE)
         self._arrays = self._make_arrays()
+        #: Each page, and each of its least dlcs, the smallest first.
+        steps = [(number, dlc) for number, page in enumerate(self.pages) for dlc in page.plans]
+        self._step_pages, self._step_dlcs = np.array(steps, np.intp).reshape(-1, 2).T
+        self._last_parts: tuple[bytes, Parts] | None = None
         self._spread = find_spread(self._arrays["ids"]["key"])
 
     def tables(self) -> SignalTables:
         """Return new tables, in which nothing is counted yet."""
         return SignalTables(**self._arrays, spread=self._spread)
+
+    def parts(self, dlcs: npt.NDArray[np.uint64]) -> tuple[Parts, npt.NDArray[np.uint64]]:
+        """Return the groups of a batch, those with samples and all that were selected by name.
+
+        The second result are their samples. `dlcs` are the frames of each page by their dlc.
+        Signals of a page that need different lengths have the same samples as long as no frame is
+        shorter than one of them.
+        """
+        # Frames of each page with a dlc, or a longer one; of those that the signals need.
+        counts = np.cumsum(dlcs[:, ::-1], axis=1)[:, ::-1][self._step_pages, self._step_dlcs]
+        is_first = np.ones(len(counts), np.bool_)
+        is_first[1:] = (np.diff(self._step_pages) > 0) | (counts[1:] != counts[:-1])
+        is_there = (counts > 0) | self.is_selected
+        key = is_first.tobytes() + is_there.tobytes()
+        last = self._last_parts
+        if last is None or last[0] != key:  # they are mostly those of the batch before
+            self._last_parts = last = key, self._make_parts(is_first, is_there)
+        return last[1], counts[is_first & is_there]
+
+    def _make_parts(
+        self, is_first: npt.NDArray[np.bool_], is_there: npt.NDArray[np.bool_]
+    ) -> Parts:
+        """Return groups: one begins where `is_first` of a least dlc of a page is true."""
+        parts: list[Part] = []
+        first_group = np.zeros(len(self.pages), np.uint32)
+        group_count = np.zeros(len(self.pages), np.uint32)
+        numbers = np.cumsum(is_first)
+        for number in np.unique(numbers[is_there]).tolist():
+            steps = np.flatnonzero(numbers == number)
+            place = int(self._step_pages[steps[0]])
+            page = self.pages[place]
+            least = self._step_dlcs[steps].tolist()
+            name = f"{page.name}[dlc>={least[0]}]" if group_count[place] else page.name
+            plans = [plan for dlc in least for plan in page.plans[dlc]]
+            if not group_count[place]:
+                first_group[place] = len(parts)
+            group_count[place] += 1
+            parts.append(Part.of(name, page.message.name, plans))
+        return Parts(parts, self.records, first_group, group_count)
 
     def _make_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return the tables that SignalTables takes."""

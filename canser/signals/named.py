@@ -1,12 +1,41 @@
 """Signals by their names, for classes that hold several; and names that there are not."""
 
 import difflib
-from collections.abc import ItemsView, Iterable, Iterator, KeysView, Mapping, ValuesView
+from collections.abc import Callable, ItemsView, Iterable, Iterator, KeysView, Mapping, ValuesView
 from typing import Any
 
 from canser.signals.signal import Signal
 
-__all__ = ["Named", "unknown_name"]
+__all__ = ["Made", "Named", "unknown_name"]
+
+
+class Made(Mapping[str, Signal]):
+    """Signals that are made when they are first asked for: most of many signals never are.
+
+    `places`: what `make` takes to make the signal of each name.
+    """
+
+    def __init__(self, places: Mapping[str, Any], make: Callable[[Any], Signal]) -> None:
+        self._places, self._make = places, make
+        self._made: dict[str, Signal] = {}
+
+    def __getitem__(self, name: str) -> Signal:
+        made = self._made.get(name)
+        if made is None:
+            made = self._made.setdefault(name, self._make(self._places[name]))
+        return made
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._places
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return dict, (dict(self),)
 
 
 class Named:
@@ -17,7 +46,7 @@ class Named:
     """
 
     def __init__(self, signals: Mapping[str, Signal]) -> None:
-        self._signals = dict(signals)
+        self._signals = signals
 
     def __getitem__(self, name: str) -> Signal:
         if name in self._signals:

@@ -8,7 +8,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from canser.signals.named import Named
+from canser.signals.named import Made, Named
+from canser.signals.parts import places_of
 from canser.signals.report import DecodeReport
 from canser.signals.resample import resample
 from canser.signals.signal import Signal
@@ -71,11 +72,12 @@ class Signals(ManyTables, Named, Mapping[str, Signal]):
         groups: Mapping[str, Group],
         source: DecodeReport | _Source,
         columns: Mapping[str, npt.NDArray[np.uint64]] = MappingProxyType({}),
+        places: Mapping[str, tuple[str, str]] | None = None,
     ) -> None:
-        super().__init__(
-            {signal.full_name: signal for group in groups.values() for signal in group.values()}
-        )
         self.groups = dict(groups)
+        if places is None:
+            places = places_of({name: (group.message, group) for name, group in groups.items()})
+        super().__init__(Made(places, lambda place: self.groups[place[0]][place[1]]))
         self._source = source
         #: The columns of each group, to be used again: times, and values.
         self._columns = columns
