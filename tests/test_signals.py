@@ -1,7 +1,11 @@
 """Signals: equal to cantools and to a plain decoder on real databases, and what is told of them."""
 
+import copy
+import gc
 import math
+import pickle
 import random
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -353,6 +357,25 @@ def test_arrays_are_used_again(own: canser.Database) -> None:
     assert np.shares_memory(again["Plain.First"].values, room["Plain.First"].values)
 
 
+def test_signals_that_are_not_used_any_more_are_freed_at_once(own: canser.Database) -> None:
+    signals = own.decode(numbered([frame(0x100, False, bytes(8))]))
+    assert signals["First"] is signals.groups["Plain"]["First"]
+    known = weakref.ref(signals)
+    gc.disable()  # a cycle would be found much later
+    try:
+        del signals
+        assert known() is None
+    finally:
+        gc.enable()
+
+
+def test_a_group_may_be_copied_and_pickled(own: canser.Database) -> None:
+    group = own.decode(numbered([frame(0x100, False, bytes([7] * 8))])).groups["Plain"]
+    for other in (pickle.loads(pickle.dumps(group)), copy.copy(group)):
+        assert list(other) == list(group)
+        assert other["Fourth"].values.tolist() == [3.5]
+
+
 # Which message a frame belongs to.
 
 
@@ -663,7 +686,7 @@ def test_pieces_of_any_size_make_the_same_groups(own: canser.Database) -> None:
         frame(*random_.choice(ids), random_.randbytes(random_.choice([8, 8, 8, 3])))
         for _ in range(400)
     )
-    for sizes in ([1], [3, 50], [400]):
+    for sizes in ([1], [2, 1, 60], [3, 50], [400]):
         assert_feeds_like_whole(own, frames, own.decode(frames), sizes)
 
 
@@ -780,13 +803,14 @@ BO_ 1 Each: 8 X
 """
 
 
-def test_no_product_is_fused_with_its_sum(tmp_path: Path) -> None:
-    raw = np.arange(65_536)
-    payload = np.zeros((65_536, 8), np.uint8)
+@pytest.mark.parametrize("times", [1, 12])  # in the cache, and past it
+def test_no_product_is_fused_with_its_sum(tmp_path: Path, times: int) -> None:
+    raw = np.tile(np.arange(65_536), times)
+    payload = np.zeros((len(raw), 8), np.uint8)
     payload[:, 0], payload[:, 1] = raw & 255, raw >> 8
     payload[:, 2], payload[:, 3] = raw >> 8, raw & 255
     payload[:, 4:7] = (raw[:, None] << 3) >> [0, 8, 16] & 255
-    frames = np.zeros(65_536, FRAME_DTYPE)
+    frames = np.zeros(len(raw), FRAME_DTYPE)
     frames["id"], frames["dlc"], frames["data"] = 1, 8, payload
     signals = canser.Database(written(tmp_path, SCALED)).decode(frames)
     unsigned = raw * 0.1 + -40.05

@@ -74,10 +74,11 @@ class Signals(ManyTables, Named, Mapping[str, Signal]):
         columns: Mapping[str, npt.NDArray[np.uint64]] = MappingProxyType({}),
         places: Mapping[str, tuple[str, str]] | None = None,
     ) -> None:
-        self.groups = dict(groups)
         if places is None:
             places = places_of({name: (group.message, group) for name, group in groups.items()})
-        super().__init__(Made(places, lambda place: self.groups[place[0]][place[1]]))
+        # It has no reference to this object: that would be a cycle, which holds the memory on.
+        super().__init__(Made(places, lambda place: groups[place[0]][place[1]]))
+        self.groups = dict(groups)
         self._source = source
         #: The columns of each group, to be used again: times, and values.
         self._columns = columns
