@@ -523,8 +523,8 @@ CANSER_NOINLINE bool count_frame(canser_database *self, id_table table, const ca
         const size_t counter = 9 * (size_t)number + dlc_of(frame);
 
         self->dlcs[counter]++;
-        /* The place of an id that is not kept is free. */
-        if (known->page && counter <= UINT32_MAX) {
+        /* This may be a free place, if the id is not kept: its frames are found there, too. */
+        if (counter <= UINT32_MAX) {
             known->head = load_word((const uint8_t *)frame);
             known->counter = (uint32_t)counter;
             known->route = *route;

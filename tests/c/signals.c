@@ -93,9 +93,11 @@ static void make_database(void)
     for (uint32_t i = 0; i < MESSAGES; i++) {
         canser_mux *const mux = &muxes[i];
 
-        /* The last message is found by its parameter group only. */
-        ids[i] = (canser_known_id){.key = (i == 4 ? 0x1fffffff : i / 2) | i % 2 << 31,
-                                   .page = 3 * i + 1};
+        /* The last message is found by its parameter group only. None has the id 0, whose frames
+         * may begin with 8 bytes of 0. */
+        const uint32_t id = i == 4 ? 0x1fffffff : i == 0 ? 2 : i / 2;
+
+        ids[i] = (canser_known_id){.key = id | i % 2 << 31, .page = 3 * i + 1};
         pages[3 * i].first_mux = i;
         pages[3 * i].mux_count = i > 1;
         mux->field = random_field();
@@ -310,8 +312,10 @@ static bool has_page(const canser_frame *frame, uint32_t message, uint32_t numbe
 static void check_columns(void)
 {
     size_t at[GROUPS] = {0};
-    uint64_t remote = 0, errors = 0;
+    uint64_t remote = 0, errors = 0, others = 0, found = database.other_count;
 
+    for (size_t i = 0; i < database.id_cap; i++)
+        found += database.ids[i].page == CANSER_NO_MESSAGE ? database.ids[i].count : 0;
     for (size_t i = 0; i < frame_count; i++) {
         const canser_frame *const frame = &frames[i];
         const uint32_t dlc = frame->dlc > 8 ? 8 : frame->dlc;
@@ -319,6 +323,7 @@ static void check_columns(void)
 
         errors += frame->err;
         remote += frame->rtr && !frame->err;
+        others += !frame->rtr && !frame->err && message == MESSAGES;
         if (frame->rtr || frame->err || message == MESSAGES)
             continue;
         for (uint32_t page = 0; page < 3; page++) {
@@ -340,6 +345,7 @@ static void check_columns(void)
     for (size_t i = 0; i < GROUPS; i++)
         check(at[i] == groups[i].count && groups[i].count == groups[i].cap, "samples");
     check(database.remote_count == remote && database.error_count == errors, "kinds");
+    check(found == others, "frames without a message");
 }
 
 /* Give each group just the room that it needs, as was counted. */
