@@ -964,14 +964,6 @@ int canser_ids_add(canser_ids *self, const canser_frame *frames, size_t frame_co
 int canser_ids_group(canser_ids *self, const canser_frame *frames, size_t frame_count,
                      const uint8_t *channels, uint32_t *row_of, size_t *used);
 
-/* Copy the frames to `out` whose data or dlc differ from those of the frame before in their row,
- * and the first one of each row. Stops as canser_ids_group(), and when `out` is full. `out` may be
- * written to one frame past `*out_count`. `self` is used for nothing else. Returns as
- * canser_ids_add(). */
-int canser_ids_changes(canser_ids *self, const canser_frame *frames, size_t frame_count,
-                       const uint8_t *channels, canser_frame *out, size_t out_cap, size_t *used,
-                       size_t *out_count);
-
 /* Fill the slots, which are all zero, from the rows: after the caller has made them more.
  * Returns CANSER_OK, CANSER_NULL or CANSER_RANGE. */
 int canser_ids_fill_slots(canser_ids *self);
@@ -983,6 +975,43 @@ int canser_ids_fill_slots(canser_ids *self);
 int canser_order_rows(const uint32_t *row_of, const int64_t *steps, size_t frame_count,
                       int64_t *next, const int64_t *ends, size_t row_count, int64_t *out,
                       size_t out_cap);
+
+/* ---- For frames whose payload changes. */
+
+/* The key of no frame: the place is free. */
+#define CANSER_NO_KEY 0xffffffffffffffff
+
+/* The last frame of an id, kind and channel. */
+typedef struct {
+    uint64_t head; /* its first 8 bytes, with the dlc */
+    uint64_t data;
+    uint64_t key; /* what tells the id, kind and channel; or CANSER_NO_KEY */
+    uint64_t unused;
+} canser_last;
+
+/* The last frames, in an open hash. It starts with all bytes zero but `spread`. */
+typedef struct {
+    canser_last *lasts;
+    size_t cap;
+    size_t count;
+    uint64_t spread; /* any odd number; one that is not known before keeps ids from being made that
+                      * meet in few places */
+} canser_changes;
+
+/* Copy the frames to `out` whose data or dlc differ from those of the frame before of the same id,
+ * kind and channel, and the first one of each. `channels` may be NULL: all are one.
+ *
+ * Stops when `out` is full, or before a frame of a new id if half of the places are used: then
+ * `*used` is less than `frame_count`, and the caller goes on after canser_changes_move(). Returns
+ * CANSER_OK; CANSER_NULL, CANSER_MISALIGNED, or CANSER_RANGE for an unfit cap, before anything was
+ * done. */
+int canser_changes_add(canser_changes *self, const canser_frame *frames, size_t frame_count,
+                       const uint8_t *channels, canser_frame *out, size_t out_cap, size_t *used,
+                       size_t *out_count);
+
+/* Move the last frames to other memory with `cap` places, a power of two, whose values do not
+ * matter. Returns CANSER_OK, CANSER_NULL, or CANSER_RANGE if more than half would be used. */
+int canser_changes_move(canser_changes *self, canser_last *lasts, size_t cap);
 
 /* ---- For signals: the numbers that a database finds in the data of frames. */
 

@@ -2,6 +2,7 @@
  *
  * A row is found by its key in an open hash. The key is the first 8 bytes of a frame, with the
  * channel in the place of the dlc. */
+#include "keys.h"
 #include "runs.h"
 
 /* Without another number rows are looked up by 2^64 divided by the golden ratio, which spreads keys
@@ -59,14 +60,6 @@ CANSER_INLINE void keep_step(canser_ids *self, canser_id *row, uint64_t step)
         count_in_bin(self->lists[row->list - 1], step);
     else
         self->lists[row->list - 1][row->listed++] = step;
-}
-
-CANSER_INLINE uint64_t load(const void *p)
-{
-    uint64_t value;
-
-    memcpy(&value, p, sizeof value);
-    return value;
 }
 
 /* Where the rows are looked up. A copy of this stays in registers. */
@@ -180,23 +173,6 @@ CANSER_INLINE int64_t count_frame(canser_id *row, const canser_frame *frame, uin
     return (int64_t)step;
 }
 
-/* The bits of a frame's first 8 bytes that are in its key. */
-CANSER_INLINE uint64_t key_mask(const canser_ids *self)
-{
-    static const canser_frame apart = {.id = ID_EXT_MAX, .ext = 1, .rtr = 1, .err = 1};
-    static const canser_frame together = {.id = ID_EXT_MAX, .ext = 1, .err = 1};
-
-    return load(self->is_remote_apart ? &apart : &together);
-}
-
-CANSER_INLINE uint64_t make_key(const canser_frame *frame, uint64_t mask, uint8_t channel)
-{
-    const unsigned at = offsetof(canser_frame, dlc);
-
-    /* The load of a value that was just stored in parts would wait. */
-    return (load(frame) & mask) | (uint64_t)channel << 8 * (CANSER_BIG_ENDIAN ? 7 - at : at);
-}
-
 /* Whether there is room for a new row, and for a list. */
 CANSER_INLINE bool has_row_room(const canser_ids *self)
 {
@@ -214,7 +190,7 @@ CANSER_INLINE size_t add_frames(canser_ids *self, const canser_frame *frames, si
 {
     canser_runs *const runs = &self->runs;
     const row_table table = table_of(self);
-    const uint64_t mask = key_mask(self);
+    const uint64_t mask = key_mask(self->is_remote_apart);
     uint64_t near = runs_near(runs);
     int64_t last = runs->last;
     uint32_t run = runs->run;
@@ -334,7 +310,7 @@ int canser_ids_group(canser_ids *self, const canser_frame *frames, size_t frame_
     if (!row_of && frame_count)
         return CANSER_NULL;
     table = table_of(self);
-    mask = key_mask(self);
+    mask = key_mask(self->is_remote_apart);
     for (i = 0; i < frame_count; i++) {
         const uint8_t channel = channels ? channels[i] : CANSER_NO_CHANNEL;
         const uint32_t number = find_row(self, table, mask, &frames[i], channel);
@@ -345,45 +321,6 @@ int canser_ids_group(canser_ids *self, const canser_frame *frames, size_t frame_
         row_of[i] = number - 1;
     }
     *used = i;
-    return CANSER_OK;
-}
-
-int canser_ids_changes(canser_ids *self, const canser_frame *frames, size_t frame_count,
-                       const uint8_t *channels, canser_frame *out, size_t out_cap, size_t *used,
-                       size_t *out_count)
-{
-    const int status = check(self, frames, frame_count, used);
-    size_t count = 0;
-    row_table table;
-    uint64_t mask;
-    size_t i;
-
-    if (out_count)
-        *out_count = 0;
-    if (status)
-        return status;
-    if (!out_count || (!out && out_cap))
-        return CANSER_NULL;
-    if (misaligned(out, _Alignof(canser_frame)))
-        return CANSER_MISALIGNED;
-    table = table_of(self);
-    mask = key_mask(self);
-    for (i = 0; i < frame_count && count < out_cap; i++) {
-        const uint8_t channel = channels ? channels[i] : CANSER_NO_CHANNEL;
-        const uint32_t number = find_row(self, table, mask, &frames[i], channel);
-        canser_id *row;
-
-        if (!number)
-            break;
-        row = &table.rows[number - 1];
-        out[count] = frames[i]; /* which stays only if it is counted */
-        count +=
-            ((load(row->data) ^ load(frames[i].data)) | (load(row->head) ^ load(&frames[i]))) != 0;
-        memcpy(row->data, frames[i].data, sizeof row->data);
-        memcpy(row->head, &frames[i], sizeof row->head);
-    }
-    *used = i;
-    *out_count = count;
     return CANSER_OK;
 }
 

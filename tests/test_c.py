@@ -178,6 +178,15 @@ def test_frames_by_their_ids_sanitized(tmp_path: Path, debug_flags: list[str]) -
     assert_all_pass(run(build_test(tmp_path, "ids", debug_flags)))
 
 
+def test_frames_that_change(tmp_path: Path) -> None:
+    assert_all_pass(run(build_test(tmp_path, "changes", FAST), "2000" if LONG else "200"))
+
+
+@takes_long
+def test_frames_that_change_sanitized(tmp_path: Path, debug_flags: list[str]) -> None:
+    assert_all_pass(run(build_test(tmp_path, "changes", debug_flags)))
+
+
 def test_lengths_on_the_bus(tmp_path: Path) -> None:
     assert_all_pass(run(build_test(tmp_path, "bits", FAST), "1000000"))
 

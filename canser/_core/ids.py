@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canser._core._lib import ffi, lib
-from canser._core.buffers import NULL, input_frames, output_frames, raise_status
+from canser._core.buffers import NULL, input_frames, raise_status
 from canser._core.text import Codes
 from canser._frames import FrameArray
 
@@ -152,24 +152,6 @@ class Rows:
 
         self._walk(group, frames, None)
         return row_of
-
-    def changes(self, frames: FrameArray, channels: Codes | None, out: FrameArray) -> int:
-        """Copy the first frame of each row and all changes to `out`, which is longer than `frames`.
-
-        Returns their number.
-        """
-        out_at, count, found = output_frames(out), 0, ffi.new("size_t *")
-
-        def changes(_done: int, *rest: Any) -> int:
-            nonlocal count
-            status = lib.canser_ids_changes(
-                *rest, out_at + count, len(out) - count, self._used, found
-            )
-            count += found[0]
-            return int(status)
-
-        self._walk(changes, frames, channels)
-        return count
 
     def _walk(self, step: Callable[..., int], frames: FrameArray, channels: Codes | None) -> None:
         """Call `step` until all frames are taken, with more room each time."""

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import numpy.typing as npt
 
+from canser._core.changes import copy_changes
 from canser._core.ids import Rows, order_rows
 from canser._core.text import Codes
 from canser._frames import FRAME_DTYPE, FrameArray, contiguous_frames
@@ -150,8 +151,7 @@ def changes(frames: FrameArray, *, channels: Codes | None = None) -> FrameArray:
     array([291, 292, 291], dtype=uint32)
     """
     frames, channels = contiguous(frames, channels)
-    # One more: a frame is written before it is known whether it stays.
-    out = np.empty(len(frames) + 1, FRAME_DTYPE)
+    out = np.empty(max(1, len(frames)), FRAME_DTYPE)
     # Shortened in its place, which copies nothing.
-    out.resize(Rows(remote_apart=True).changes(frames, channels, out), refcheck=False)
+    out.resize(copy_changes(frames, channels, out), refcheck=False)
     return out

@@ -1,4 +1,4 @@
-/* Frames by their ids: the same rows, steps and changes however the frames are cut and however
+/* Frames by their ids: the same rows and steps however the frames are cut and however
  * small the arrays are, no byte touched past an array, and the errors of each call.
  *
  *     ids [rounds]
@@ -182,38 +182,6 @@ static void check_orders(const walk *self, size_t count)
     free(out);
 }
 
-static void check_changes(size_t count)
-{
-    walk one;
-    canser_frame *const all = malloc((count + 1) * sizeof *all);
-    size_t used, found = 0, kept = 0, done = 0;
-    canser_frame *const few = (canser_frame *)(void *)(guarded(2 * sizeof *few) - 2 * sizeof *few);
-    bool are_same = true;
-
-    begin(&one, true, false, SIZE_MAX);
-    while (done < count) {
-        size_t part;
-        grow(&one);
-        check(canser_ids_changes(&one.ids, frames + done, count - done, NULL, all + found,
-                                 count + 1 - found, &used, &part) == CANSER_OK,
-              "changes");
-        found += part;
-        done += used;
-    }
-    end(&one);
-    begin(&one, true, false, SIZE_MAX);
-    for (done = 0; done < count; done += used) {
-        size_t part;
-        grow(&one);
-        canser_ids_changes(&one.ids, frames + done, count - done, NULL, few, 2, &used, &part);
-        are_same &= !part || !memcmp(few, all + kept, part * sizeof *few);
-        kept += part;
-    }
-    check(are_same && kept == found, "changes two by two");
-    end(&one);
-    free(all);
-}
-
 static void check_errors(void)
 {
     canser_id row;
@@ -260,7 +228,6 @@ static void run_round(size_t round)
     check(are_equal(&whole, &parts, count), "cut anywhere");
     check_sums(&whole, count);
     check_orders(&whole, count);
-    check_changes(count);
     if (!round)
         check_errors();
     end(&whole);
