@@ -903,8 +903,8 @@ typedef struct {
     int64_t first;      /* the first known time, or CANSER_NO_TIME */
     int64_t last;       /* the last known time, or CANSER_NO_TIME */
     uint8_t moving[8];  /* bits of the data that were not the same in all frames */
-    uint64_t remote;    /* remote frames */
     uint64_t changes;   /* frames whose data or dlc differ from those of the frame before */
+    uint64_t remote;    /* remote frames */
     uint64_t steps;     /* number of steps, which is that of frames with a step */
     uint64_t breaks;    /* frames without a step */
     uint64_t least;     /* the shortest step, if there are steps */

@@ -68,19 +68,24 @@ typedef struct {
     uint32_t *slots;
     size_t last_slot; /* one less than their number, which is a power of two */
     uint64_t spread;
+    unsigned shift;
 } row_table;
 
 CANSER_INLINE row_table table_of(const canser_ids *self)
 {
-    return (row_table){self->rows, self->slots, self->slot_cap - 1,
-                       self->spread ? self->spread : SPREAD};
+    row_table table = {self->rows, self->slots, self->slot_cap - 1,
+                       self->spread ? self->spread : SPREAD, 64};
+
+    for (size_t cap = self->slot_cap; cap > 1; cap >>= 1)
+        table.shift--;
+    return table;
 }
 
 /* Return where the number of the row of a key stands; or where it is to be put: 0 is there. */
 CANSER_INLINE uint32_t *find_slot(row_table table, uint64_t key)
 {
-    /* The upper half of the product depends on all bits. */
-    size_t at = (size_t)((key ^ key >> 32) * table.spread >> 32) & table.last_slot;
+    /* The upper bits of the product depend on all bits. */
+    size_t at = (size_t)(key * table.spread >> table.shift);
 
     while (table.slots[at] && load(&table.rows[table.slots[at] - 1]) != key)
         at = (at + 1) & table.last_slot;
@@ -118,8 +123,9 @@ CANSER_COLD void add_row(canser_ids *self, uint32_t *slot, uint64_t key, const c
     row->run = RUN_NONE;
 }
 
-/* Count a frame that differs from those before it: in its dlc, its run, a step out of their range;
- * or that is a remote frame. So the usual frame needs few comparisons and stores. */
+/* Count a frame that differs from those before it: in its dlc, its run, a step out of their range,
+ * a bit that did not move yet; or that is a remote frame. So the usual frame needs few comparisons
+ * and stores. */
 CANSER_NOINLINE int64_t count_other(canser_id *row, const canser_frame *frame, uint32_t run)
 {
     const uint64_t step = run_step(row->last, frame->ts);
@@ -154,20 +160,24 @@ CANSER_NOINLINE int64_t count_other(canser_id *row, const canser_frame *frame, u
     return CANSER_NO_STEP;
 }
 
-/* Count a frame in its row; return the step from the frame before it, or CANSER_NO_STEP. */
-CANSER_INLINE int64_t count_frame(canser_id *row, const canser_frame *frame, uint32_t run)
+/* Whether a frame is as those before it in its row. */
+CANSER_INLINE bool is_usual(const canser_id *row, const canser_frame *frame, uint32_t run)
+{
+    const uint64_t moving = load(row->moving);
+
+    return load(frame) == load(row->head) && run == row->run &&
+           run_step(row->last, frame->ts) - row->least <= row->spread &&
+           ((load(frame->data) ^ load(row->data)) | moving) == moving;
+}
+
+/* Count such a frame; return the step from the frame before it. */
+CANSER_INLINE int64_t count_usual(canser_id *row, const canser_frame *frame)
 {
     const uint64_t data = load(frame->data);
-    const uint64_t old = load(row->data);
-    const uint64_t moving = load(row->moving) | (data ^ old);
     const uint64_t step = run_step(row->last, frame->ts);
 
-    if (!CANSER_LIKELY((load(frame) == load(row->head)) & (run == row->run) &
-                       (step - row->least <= row->spread)))
-        return count_other(row, frame, run);
-    row->changes += data != old;
+    row->changes += data != load(row->data);
     memcpy(row->data, &data, sizeof data);
-    memcpy(row->moving, &moving, sizeof moving);
     row->steps++;
     row->last = frame->ts;
     return (int64_t)step;
@@ -184,6 +194,42 @@ CANSER_INLINE bool has_list_room(const canser_ids *self, const canser_id *row)
     return row->list || row->listed < CANSER_EARLY_STEPS || self->list_count + 1 < self->list_cap;
 }
 
+/* What is told of a frame that was counted. */
+typedef struct {
+    bool has_room;   /* false: nothing was counted, as there is no room for a new row or list */
+    uint32_t number; /* that of the row, from 1 on; 0: there is none */
+    int64_t step;    /* from the frame before it, or CANSER_NO_STEP */
+} counted;
+
+/* Count any frame: in its row, which may be new, and in the runs. */
+CANSER_NOINLINE counted count_frame(canser_ids *self, const canser_frame *frame, uint64_t key,
+                                    bool keeps_steps)
+{
+    canser_runs *const runs = &self->runs;
+    uint32_t *const slot = find_slot(table_of(self), key);
+    const bool is_new = !*slot;
+    uint32_t run = runs->run;
+    int64_t step = CANSER_NO_STEP;
+
+    if (is_new ? !has_row_room(self) : keeps_steps && !has_list_room(self, &self->rows[*slot - 1]))
+        return (counted){false, 0, step};
+    if (run_is_near(runs->last, frame->ts, runs_near(runs))) {
+        runs->last = frame->ts;
+        runs->steps++;
+    } else {
+        run = runs_next(runs, frame->ts);
+    }
+    if (is_new && self->row_count < self->row_most)
+        add_row(self, slot, key, frame);
+    if (!*slot)
+        self->others++;
+    else if (is_new || !is_usual(&self->rows[*slot - 1], frame, run))
+        step = count_other(&self->rows[*slot - 1], frame, run);
+    else
+        step = count_usual(&self->rows[*slot - 1], frame);
+    return (counted){true, *slot, step};
+}
+
 CANSER_INLINE size_t add_frames(canser_ids *self, const canser_frame *frames, size_t frame_count,
                                 const uint8_t *channels, uint32_t *row_of, int64_t *steps,
                                 bool keeps_steps)
@@ -194,53 +240,48 @@ CANSER_INLINE size_t add_frames(canser_ids *self, const canser_frame *frames, si
     uint64_t near = runs_near(runs);
     int64_t last = runs->last;
     uint32_t run = runs->run;
-    size_t usual = 0; /* frames since `runs` was brought up to date */
+    size_t begin = 0; /* frames from here on are not in `runs` yet, as all are usual */
     size_t i;
 
     for (i = 0; i < frame_count; i++) {
         const canser_frame *const frame = &frames[i];
         const uint8_t channel = channels ? channels[i] : CANSER_NO_CHANNEL;
         const uint64_t key = make_key(frame, mask, channel);
-        uint32_t *const slot = find_slot(table, key);
-        uint32_t number = *slot;
+        uint32_t number = *find_slot(table, key);
         canser_id *const row = &table.rows[number ? number - 1 : 0];
-        int64_t step = CANSER_NO_STEP;
-        bool is_near;
+        int64_t step;
 
-        if (number ? keeps_steps && !has_list_room(self, row) : !has_row_room(self))
-            break;
-        is_near = run_is_near(last, frame->ts, near);
-        if (CANSER_LIKELY(is_near)) {
+        if (CANSER_LIKELY(number && is_usual(row, frame, run) &&
+                          run_is_near(last, frame->ts, near) &&
+                          (!keeps_steps || has_list_room(self, row)))) {
+            step = count_usual(row, frame);
             last = frame->ts;
-            usual++;
         } else {
+            counted one;
+
             runs->last = last;
-            runs->steps += usual;
-            usual = 0;
-            run = runs_next(runs, frame->ts);
+            runs->steps += i - begin;
+            one = count_frame(self, frame, key, keeps_steps);
+            number = one.number;
+            step = one.step;
             near = runs_near(runs);
             last = runs->last;
+            run = runs->run;
+            begin = i + 1;
+            if (!one.has_room) {
+                begin = i;
+                break;
+            }
         }
-        if (CANSER_LIKELY(number)) {
-            step = count_frame(row, frame, run);
-            if (keeps_steps && step >= 0)
-                keep_step(self, row, (uint64_t)step);
-        } else if (self->row_count < self->row_most) {
-            add_row(self, slot, key, frame);
-            number = *slot;
-            count_frame(&table.rows[number - 1], frame, run);
-        } else {
-            self->others++;
-        }
+        if (keeps_steps && step >= 0)
+            keep_step(self, &table.rows[number - 1], (uint64_t)step);
         if (row_of)
             row_of[i] = number - 1; /* CANSER_NO_ROW if there is none */
         if (steps)
             steps[i] = step;
-        if (!CANSER_LIKELY(is_near))
-            run = runs->run;
     }
     runs->last = last;
-    runs->steps += usual;
+    runs->steps += i - begin;
     return i;
 }
 
@@ -248,7 +289,7 @@ static bool is_sized(const canser_ids *self)
 {
     const size_t cap = self->slot_cap;
 
-    return cap && !(cap & (cap - 1)) && cap / 2 >= self->row_cap && cap < CANSER_NO_ROW;
+    return cap > 1 && !(cap & (cap - 1)) && cap / 2 >= self->row_cap && cap < CANSER_NO_ROW;
 }
 
 static int check(const canser_ids *self, const canser_frame *frames, size_t frame_count,
