@@ -173,21 +173,20 @@ static void fill_float(const canser_signal *signal, const uint64_t *restrict num
 }
 
 /* Fill a column whose numbers have up to 31 bits, past the cache: as fill_scaled(), without a room
- * between. Returns how many elements are filled, up to 3 less than `count`. */
+ * between. Returns how many elements are filled, up to 3 less than `count`; or 0. */
 CANSER_INLINE size_t fill_past(const canser_signal *signal, const uint64_t *restrict numbers,
                                size_t count, uint64_t *column)
 {
-    size_t i = 0;
-
 #if CANSER_HAS_PAST
     const __m128i shift = _mm_cvtsi32_si128(signal->field.shift);
     const __m128i rest = _mm_cvtsi32_si128(32 - signal->field.bit_count);
     const __m128d factor = _mm_set1_pd(signal->factor);
     const __m128d addend = _mm_set1_pd(signal->addend);
+    size_t i;
 
     if (signal->field.bit_count > 31 || (uintptr_t)column % 16)
         return 0;
-    for (; i + 4 <= count; i += 4) {
+    for (i = 0; i + 4 <= count; i += 4) {
         const __m128i *const from = (const __m128i *)(const void *)(numbers + i);
         double *const to = (double *)column + i;
         const __m128i low = _mm_srl_epi64(_mm_loadu_si128(from), shift);
@@ -203,8 +202,11 @@ CANSER_INLINE size_t fill_past(const canser_signal *signal, const uint64_t *rest
         two = _mm_cvtepi32_pd(_mm_shuffle_epi32(four, _MM_SHUFFLE(3, 2, 3, 2)));
         _mm_stream_pd(to + 2, _mm_add_pd(_mm_mul_pd(two, factor), addend));
     }
-#endif
     return i;
+#else
+    (void)signal, (void)numbers, (void)count, (void)column;
+    return 0;
+#endif
 }
 
 /* Let a group's block take as many samples as the group has room for. */

@@ -122,8 +122,8 @@ CANSER_INLINE uint8_t *pad_to_16(uint8_t *out, const uint8_t *begin)
     return out + 16 - (out - begin);
 }
 
-static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned channel,
-                      unsigned direction, uint8_t *out)
+CANSER_INLINE uint8_t *put_line(canser_text *self, const canser_frame *frame, unsigned channel,
+                                unsigned direction, uint8_t *out)
 {
     const bool known = frame->ts != CANSER_NO_TIME;
     uint32_t ns;
@@ -133,7 +133,7 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
                       known ? (int64_t)((uint64_t)frame->ts - (uint64_t)self->start_ns) : 0, &ns);
     self->unknown_times += !known;
     self->cut_times += ns % 1000 != 0;
-    out = put_digits(out, ns / 1000, 6);
+    out = put_six(out, ns / 1000);
     *out++ = ' ';
     out = put_number(out, channel == CANSER_NO_CHANNEL ? 1 : channel + 1);
     out = PUT(out, "  ");
@@ -155,6 +155,12 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
     out = put_spaced(out, frame->data, data_len(frame), ' ');
     *out++ = '\n';
     return out;
+}
+
+static uint8_t *write(canser_text *self, const text_frames *from, uint8_t *out, size_t out_cap,
+                      canser_encoded *result)
+{
+    return write_lines(self, from, out, out_cap, result, put_line);
 }
 
 static const struct canser_text_codec codec = {read, write};

@@ -41,11 +41,11 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
     uint8_t data[DLC_MAX] = {0};
     int64_t ts;
 
-    p = take_char(take_seconds(take_char(p, '('), &ts), ')');
+    p = take_char(take_seconds(self, take_char(p, '('), &ts), ')');
     p = take_blanks(take_name(self, take_blanks(p), &row->channel));
     if (!p)
         return NULL;
-    uint64_t text = load_text(p);
+    const uint64_t text = load_text(p);
     const unsigned digits = count_hex(text);
     uint32_t id = hex_value(text, digits ? digits : 1);
     const unsigned ext = digits == 8, err = ext && id >> 29 == 1;
@@ -67,14 +67,7 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
         row->direction = SKIPPED;
         return p;
     } else {
-        text = load_text(p);
-        unsigned count = count_hex(text);
-        store_le32(data, hex_bytes(text));
-        if (count == 8) {
-            text = load_text(p + 8);
-            count += count_hex(text);
-            store_le32(data + 4, hex_bytes(text));
-        }
+        const unsigned count = load_hex(p, data);
         p += count;
         if (count & 1 ||
             !put_frame(row->frame, ts, err ? id & ID_EXT_MAX : id,
@@ -88,56 +81,64 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
     return take_end(p);
 }
 
-/* The name of an interface: one that the caller has set, else "can" and the number. */
-CANSER_INLINE uint8_t *put_name(canser_text *self, uint8_t *out, unsigned channel)
+/* Set the name of an interface, with a blank: one that the caller has set, else "can" and the
+ * number. */
+CANSER_COLD void set_name(canser_text *self, unsigned channel)
 {
-    for (unsigned i = 0, at = self->last_name; i <= self->name_count; i++) {
-        const canser_channel_name *const name = &self->names[at];
-        if (name->len && name->channel == channel) {
-            self->last_name = (uint8_t)at;
-            memcpy(out, name->text, sizeof name->text);
-            return out + name->len;
-        }
-        at = i < CANSER_NAMES_MAX ? i : 0;
-    }
-    return put_number(PUT(out, "can"), channel == CANSER_NO_CHANNEL ? 0 : channel);
+    uint8_t text[32] = "can";
+    uint8_t *end = put_number(text + 3, channel == CANSER_NO_CHANNEL ? 0 : channel);
+
+    *end++ = ' ';
+    self->name = (canser_channel_name){.len = (uint8_t)(end - text), .channel = (uint8_t)channel};
+    memcpy(self->name.text, text, sizeof self->name.text);
+    for (unsigned i = self->name_count; i--;)
+        if (self->names[i].channel == channel)
+            self->name = self->names[i], self->name.len++;
+    self->has_name = 1;
 }
 
-static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned channel,
-                      unsigned direction, uint8_t *out)
+CANSER_INLINE uint8_t *put_line(canser_text *self, const canser_frame *frame, unsigned channel,
+                                unsigned direction, uint8_t *out)
 {
     const bool known = frame->ts != CANSER_NO_TIME;
-    uint32_t ns;
+    uint32_t ns, us;
 
     *out++ = '(';
     out = put_seconds(self, out, known ? frame->ts : 0, &ns);
-    self->unknown_times += !known;
-    self->cut_times += ns % 1000 != 0;
-    out = put_digits(out, ns / 1000, 6);
-    out = PUT(out, ") ");
-    out = put_name(self, out, channel);
-    *out++ = ' ';
-    const uint32_t id = frame->id | (frame->err ? ERR_FLAG : 0);
-    if (frame->ext || frame->err) {
-        for (int shift = 24; shift >= 0; shift -= 8)
-            out = put_hex(out, (uint8_t)(id >> shift));
-    } else {
-        *out++ = canser_text_hex[2 * (id >> 8) + 1];
-        out = put_hex(out, (uint8_t)id);
-    }
+    us = ns / 1000;
+    /* Branches, as a store for each line takes longer. */
+    if (!CANSER_LIKELY(known))
+        self->unknown_times++;
+    if (!CANSER_LIKELY(ns == 1000 * us))
+        self->cut_times++;
+    out = PUT(put_six(out, us), ") ");
+    if (!CANSER_LIKELY(self->has_name && self->name.channel == channel))
+        set_name(self, channel);
+    memcpy(out, self->name.text, sizeof self->name.text);
+    out += self->name.len;
+    /* Eight digits, or the last three of them. */
+    const bool is_long = frame->ext || frame->err;
+    const uint64_t id = hex_text(split_hex(frame->id | (frame->err ? ERR_FLAG : 0)), 'A');
+    store_text(out, is_long ? id : id >> 40);
+    out += is_long ? 8 : 3;
     *out++ = '#';
-    if (frame->rtr) {
+    if (CANSER_LIKELY(!frame->rtr)) {
+        store_hex(out, frame->data);
+        out += 2 * frame->dlc;
+    } else {
         *out++ = 'R';
         *out++ = (uint8_t)('0' + frame->dlc);
-    } else {
-        for (int i = 0; i < DLC_MAX; i++)
-            put_hex(out + 2 * i, frame->data[i]);
-        out += 2 * frame->dlc;
     }
     if (direction == CANSER_SENT)
         out = PUT(out, " T");
     *out++ = '\n';
     return out;
+}
+
+static uint8_t *write(canser_text *self, const text_frames *from, uint8_t *out, size_t out_cap,
+                      canser_encoded *result)
+{
+    return write_lines(self, from, out, out_cap, result, put_line);
 }
 
 static const struct canser_text_codec codec = {read, write};

@@ -70,7 +70,7 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
     uint64_t dlc;
     int64_t ts;
 
-    p = take_seconds(p, &ts);
+    p = take_seconds(self, p, &ts);
     if (!p || p[0] != ',' || p[1] != '0' || p[2] != 'x')
         return NULL;
     const uint64_t text = load_text(p += 3);
@@ -114,8 +114,8 @@ CANSER_INLINE uint8_t *put_base64(uint8_t *out, const uint8_t *data, size_t coun
     return out + (count + 2) / 3 * 4;
 }
 
-static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned channel,
-                      unsigned direction, uint8_t *out)
+CANSER_INLINE uint8_t *put_line(canser_text *self, const canser_frame *frame, unsigned channel,
+                                unsigned direction, uint8_t *out)
 {
     uint8_t data[DLC_MAX];
     uint32_t ns;
@@ -125,7 +125,7 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
         out = PUT(out, "nan");
     } else {
         out = put_seconds(self, out, frame->ts, &ns);
-        out = put_digits(out, ns / 1000, 6);
+        out = put_six(out, ns / 1000);
         if (ns % 1000) {
             *out++ = (uint8_t)('0' + ns / 100 % 10);
             out = put_digits(out, ns % 100, 2);
@@ -147,6 +147,12 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
     out = put_base64(out, data, data_len(frame));
     *out++ = '\n';
     return out;
+}
+
+static uint8_t *write(canser_text *self, const text_frames *from, uint8_t *out, size_t out_cap,
+                      canser_encoded *result)
+{
+    return write_lines(self, from, out, out_cap, result, put_line);
 }
 
 static const struct canser_text_codec codec = {read, write};

@@ -67,8 +67,8 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
     return take_end(p);
 }
 
-static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned channel,
-                      unsigned direction, uint8_t *out)
+CANSER_INLINE uint8_t *put_line(canser_text *self, const canser_frame *frame, unsigned channel,
+                                unsigned direction, uint8_t *out)
 {
     const bool known = frame->ts != CANSER_NO_TIME;
     const int64_t ts = known ? frame->ts : 0;
@@ -90,6 +90,12 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
     *out++ = ',';
     *out++ = '\n';
     return out;
+}
+
+static uint8_t *write(canser_text *self, const text_frames *from, uint8_t *out, size_t out_cap,
+                      canser_encoded *result)
+{
+    return write_lines(self, from, out, out_cap, result, put_line);
 }
 
 static const struct canser_text_codec codec = {read, write};

@@ -33,11 +33,29 @@ int canser_text_add_name(canser_text *self, const char *name, size_t len, uint8_
     if (!len || len > CANSER_NAME_LEN_MAX || self->name_count >= CANSER_NAMES_MAX)
         return CANSER_RANGE;
     canser_channel_name *const added = &self->names[self->name_count++];
+    self->has_name = 0;
     *added = (canser_channel_name){.len = (uint8_t)len, .channel = channel};
     memcpy(added->text, name, len);
     memset((uint8_t *)added->text + len, ' ', 1);
     memset(added->mask, 0xFF, len + 1);
     return CANSER_OK;
+}
+
+const uint8_t *canser_text_take_seconds(canser_text *self, const uint8_t *p, int64_t *ns)
+{
+    const uint64_t high = load_text(p), fraction = load_text(p + 11);
+    const unsigned tenth = p[8] - '0', last = p[9] - '0';
+
+    if (p[10] == '.' && count_digits(high) == 8 && tenth <= 9 && last <= 9 &&
+        count_digits(fraction) == 6 && *p < '9') {
+        const int64_t whole = (int64_t)digits_value(high, 8) * 100 + tenth * 10 + last;
+        self->seconds_high = high;
+        self->seconds_low = load_le32(p + 8) & 0xFFFFFF;
+        self->seconds_ns = whole * 1000000000;
+        *ns = self->seconds_ns + (int64_t)digits_value(fraction, 6) * 1000;
+        return p + 17;
+    }
+    return take_fixed(p, 9, ns);
 }
 
 /* Read lines from `p` on that start before `stop`, until one is unusual or the rows are full;
@@ -124,19 +142,10 @@ int canser_text_write(canser_text *self, const canser_frame *frames, const uint8
     if (status)
         return status;
 
-    const struct canser_text_codec *const codec = self->format->codec;
-    uint8_t *p = out;
-    size_t i = 0;
-    while (i < frame_count && (size_t)(out + out_cap - p) >= LINE_MOST) {
-        result->refusal = refuse_frame(&frames[i], true, true);
-        if (result->refusal)
-            break;
-        p = codec->write(self, &frames[i], channels ? channels[i] : CANSER_NO_CHANNEL,
-                         directions ? directions[i] : CANSER_RECEIVED, p);
-        i++;
-    }
-    result->frame_count = i;
-    result->byte_count = (size_t)(p - out);
+    const text_frames from = {frames, channels, directions, frame_count};
+    const uint8_t *const end = self->format->codec->write(self, &from, out, out_cap, result);
+
+    result->byte_count = (size_t)(end - out);
     return result->refusal ? CANSER_REFUSED : CANSER_OK;
 }
 
@@ -195,6 +204,16 @@ uint32_t canser_text_set_second(canser_text *self, int64_t ts)
         '6', '0' + d, '7', '0' + d, '8', '0' + d, '9'
 const uint8_t canser_text_pairs[200] = {TEN(0), TEN(1), TEN(2), TEN(3), TEN(4),
                                         TEN(5), TEN(6), TEN(7), TEN(8), TEN(9)};
+
+#define THREES(h, t)                                                                               \
+    h, t, '0', 0, h, t, '1', 0, h, t, '2', 0, h, t, '3', 0, h, t, '4', 0, h, t, '5', 0, h, t, '6', \
+        0, h, t, '7', 0, h, t, '8', 0, h, t, '9', 0
+#define HUNDRED(h)                                                                                 \
+    THREES(h, '0'), THREES(h, '1'), THREES(h, '2'), THREES(h, '3'), THREES(h, '4'),                \
+        THREES(h, '5'), THREES(h, '6'), THREES(h, '7'), THREES(h, '8'), THREES(h, '9')
+const uint8_t canser_text_threes[4000] = {HUNDRED('0'), HUNDRED('1'), HUNDRED('2'), HUNDRED('3'),
+                                          HUNDRED('4'), HUNDRED('5'), HUNDRED('6'), HUNDRED('7'),
+                                          HUNDRED('8'), HUNDRED('9')};
 
 #define SIXTEEN(h)                                                                                 \
     h, '0', h, '1', h, '2', h, '3', h, '4', h, '5', h, '6', h, '7', h, '8', h, '9', h, 'A', h,     \

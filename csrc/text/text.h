@@ -10,6 +10,10 @@
 
 #include "../protocol.h"
 
+#if defined(__x86_64__)
+#include <emmintrin.h>
+#endif
+
 #define CANSER_DECLARE(name) extern const canser_text_format canser_text_##name;
 CANSER_TEXTS(CANSER_DECLARE)
 #undef CANSER_DECLARE
@@ -28,15 +32,23 @@ typedef struct {
     uint8_t direction;
 } text_row;
 
+/* Frames to be written. */
+typedef struct {
+    const canser_frame *frames;
+    const uint8_t *channels;   /* NULL: none is told */
+    const uint8_t *directions; /* NULL: all were received */
+    size_t count;
+} text_frames;
+
 /* A format of text. */
 struct canser_text_codec {
     /* Read the line at `p` into a row; return the place behind its line end. NULL for a line that
      * is unusual, with no change to the state. SKIPPED in row->direction: the line is counted, and
      * is no frame. */
     const uint8_t *(*read)(canser_text *self, const uint8_t *p, text_row *row);
-    /* Write a frame as a line; return the place behind it. The frame is one of classic CAN. */
-    uint8_t *(*write)(canser_text *self, const canser_frame *frame, unsigned channel,
-                      unsigned direction, uint8_t *out);
+    /* Write frames as lines, by write_lines(). */
+    uint8_t *(*write)(canser_text *self, const text_frames *from, uint8_t *out, size_t out_cap,
+                      canser_encoded *result);
 };
 
 /* A line that is no frame of classic CAN, and was counted. */
@@ -137,6 +149,36 @@ CANSER_INLINE uint32_t hex_value(uint64_t text, unsigned count)
     return swap_bytes(hex_bytes(text << (64 - 8 * count)));
 }
 
+/* Up to 16 hexadecimal digits, as up to 8 bytes: returns how many digits there are. In `data` lie
+ * any bytes behind theirs. */
+CANSER_INLINE unsigned load_hex(const uint8_t *p, uint8_t *data)
+{
+#if defined(__x86_64__)
+    const __m128i text = _mm_loadu_si128((const __m128i *)(const void *)p);
+    const __m128i number = _mm_sub_epi8(text, _mm_set1_epi8('0'));
+    const __m128i letter =
+        _mm_sub_epi8(_mm_or_si128(text, _mm_set1_epi8(0x20)), _mm_set1_epi8('a'));
+    const __m128i is_number = _mm_cmpeq_epi8(_mm_min_epu8(number, _mm_set1_epi8(9)), number);
+    const __m128i is_letter = _mm_cmpeq_epi8(_mm_min_epu8(letter, _mm_set1_epi8(5)), letter);
+    const __m128i digits =
+        _mm_or_si128(_mm_and_si128(is_number, number),
+                     _mm_and_si128(is_letter, _mm_add_epi8(letter, _mm_set1_epi8(10))));
+    const __m128i bytes = _mm_or_si128(
+        _mm_and_si128(_mm_slli_epi16(digits, 4), _mm_set1_epi16(0xFF)), _mm_srli_epi16(digits, 8));
+
+    _mm_storel_epi64((__m128i *)(void *)data, _mm_packus_epi16(bytes, bytes));
+    return (unsigned)__builtin_ctz(
+        ~(unsigned)_mm_movemask_epi8(_mm_or_si128(is_number, is_letter)));
+#else
+    const uint64_t first = load_text(p), second = load_text(p + 8);
+    const unsigned count = count_hex(first);
+
+    store_le32(data, hex_bytes(first));
+    store_le32(data + 4, hex_bytes(second));
+    return count < 8 ? count : 8 + count_hex(second);
+#endif
+}
+
 /* Up to 16 decimal digits. */
 CANSER_INLINE const uint8_t *take_number(const uint8_t *p, uint64_t *value)
 {
@@ -192,22 +234,24 @@ CANSER_INLINE const uint8_t *take_fixed(const uint8_t *p, unsigned places, int64
     return p;
 }
 
-/* Seconds as most logs have them: ten digits, a point and six digits; else as take_fixed() reads
- * them. The lengths are guessed by branches, so that the next token waits for none of these. */
-CANSER_INLINE const uint8_t *take_seconds(const uint8_t *p, int64_t *ns)
+/* Seconds of ten digits, a point and six digits, as most logs have them; else as take_fixed() reads
+ * them. */
+const uint8_t *canser_text_take_seconds(canser_text *self, const uint8_t *p, int64_t *ns);
+
+/* Seconds, of which most lines have the same as the line before. */
+CANSER_INLINE const uint8_t *take_seconds(canser_text *self, const uint8_t *p, int64_t *ns)
 {
     if (!p)
         return NULL;
     const uint64_t high = load_text(p), fraction = load_text(p + 11);
-    const unsigned tenth = p[8] - '0', last = p[9] - '0';
+    const uint32_t low = load_le32(p + 8) & 0xFFFFFF; /* with the point */
 
-    if (CANSER_LIKELY(p[10] == '.' && count_digits(high) == 8 && tenth <= 9 && last <= 9 &&
-                      count_digits(fraction) == 6 && *p < '9')) {
-        const int64_t whole = (int64_t)digits_value(high, 8) * 100 + tenth * 10 + last;
-        *ns = whole * 1000000000 + (int64_t)digits_value(fraction, 6) * 1000;
+    if (CANSER_LIKELY(low && low == self->seconds_low && high == self->seconds_high &&
+                      count_digits(fraction) == 6)) {
+        *ns = self->seconds_ns + (int64_t)digits_value(fraction, 6) * 1000;
         return p + 17;
     }
-    return take_fixed(p, 9, ns);
+    return canser_text_take_seconds(self, p, ns);
 }
 
 /* One character. */
@@ -352,8 +396,10 @@ CANSER_INLINE bool put_frame(canser_frame *frame, int64_t ts, uint32_t id, unsig
 /* Set the text of a second; return the nanoseconds behind it. */
 uint32_t canser_text_set_second(canser_text *self, int64_t ts);
 
-/* Two characters for each number below 100, and for each byte. */
+/* Two characters for each number below 100, three and a zero for each one below 1,000, and two for
+ * each byte. */
 extern const uint8_t canser_text_pairs[200];
+extern const uint8_t canser_text_threes[4000];
 extern const uint8_t canser_text_hex[512];
 
 CANSER_INLINE uint8_t *put_text(uint8_t *out, const char *text, size_t len)
@@ -396,6 +442,16 @@ CANSER_INLINE uint8_t *put_digits(uint8_t *out, uint32_t value, int count)
     for (int at = count - 2; at >= 0; at -= 2, value /= 100)
         memcpy(out + at, canser_text_pairs + 2 * (value % 100), 2);
     return out + count;
+}
+
+/* Six digits of a number below 10^6, with zeros before it. Seven bytes are written. */
+CANSER_INLINE uint8_t *put_six(uint8_t *out, uint32_t value)
+{
+    const uint32_t thousands = value / 1000;
+
+    memcpy(out, canser_text_threes + 4 * thousands, 4);
+    memcpy(out + 3, canser_text_threes + 4 * (value - 1000 * thousands), 4);
+    return out + 6;
 }
 
 /* Eight digits, as numbers, without the zeros before them. Eight bytes are written. */
@@ -448,6 +504,25 @@ CANSER_INLINE uint64_t hex_text(uint64_t digits, char letter_a)
     return digits + EACH('0') + letters * (uint64_t)(letter_a - '0' - 10);
 }
 
+/* Eight bytes as sixteen hexadecimal digits. */
+CANSER_INLINE void store_hex(uint8_t *out, const uint8_t *data)
+{
+#if defined(__x86_64__)
+    const __m128i bytes = _mm_loadl_epi64((const __m128i *)(const void *)data);
+    const __m128i low = _mm_set1_epi8(0x0F);
+    const __m128i digits =
+        _mm_unpacklo_epi8(_mm_and_si128(_mm_srli_epi16(bytes, 4), low), _mm_and_si128(bytes, low));
+    const __m128i letters =
+        _mm_and_si128(_mm_cmpgt_epi8(digits, _mm_set1_epi8(9)), _mm_set1_epi8('A' - '0' - 10));
+
+    _mm_storeu_si128((__m128i *)(void *)out,
+                     _mm_add_epi8(_mm_add_epi8(digits, _mm_set1_epi8('0')), letters));
+#else
+    store_text(out, hex_text(split_hex(swap_bytes(load_le32(data))), 'A'));
+    store_text(out + 8, hex_text(split_hex(swap_bytes(load_le32(data + 4))), 'A'));
+#endif
+}
+
 /* `count` bytes as hexadecimal digits, `gap` before each. All eight are written, without a branch:
  * the lengths of mixed traffic cannot be guessed. */
 CANSER_INLINE uint8_t *put_spaced(uint8_t *out, const uint8_t *data, size_t count, char gap)
@@ -471,6 +546,33 @@ CANSER_INLINE uint8_t *put_seconds(canser_text *self, uint8_t *out, int64_t ts, 
         *ns = canser_text_set_second(self, ts);
     memcpy(out, self->second_text, sizeof self->second_text);
     return out + self->second_len;
+}
+
+/* Writes a frame, which is one of classic CAN, as a line; returns the place behind it. */
+typedef uint8_t *write_line(canser_text *self, const canser_frame *frame, unsigned channel,
+                            unsigned direction, uint8_t *out);
+
+/* Write frames as long as there is room for the longest line; up to one that is none of classic
+ * CAN. Sets the frames and the refusal of the result; returns the place behind the last line. */
+CANSER_INLINE uint8_t *write_lines(canser_text *self, const text_frames *from, uint8_t *out,
+                                   size_t out_cap, canser_encoded *result, write_line *write)
+{
+    const uint8_t *const end = out + out_cap;
+    int refusal = CANSER_REFUSAL_NONE;
+    size_t i;
+
+    for (i = 0; i < from->count && (size_t)(end - out) >= LINE_MOST; i++) {
+        const canser_frame *const frame = &from->frames[i];
+
+        refusal = refuse_frame(frame, true, true);
+        if (refusal)
+            break;
+        out = write(self, frame, from->channels ? from->channels[i] : CANSER_NO_CHANNEL,
+                    from->directions ? from->directions[i] : CANSER_RECEIVED, out);
+    }
+    result->frame_count = i;
+    result->refusal = refusal;
+    return out;
 }
 
 /* The data bytes of a frame; a remote frame has none. */

@@ -160,8 +160,8 @@ CANSER_INLINE uint8_t *put_right(uint8_t *out, uint64_t value, unsigned width)
     return out + width;
 }
 
-static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned channel,
-                      unsigned direction, uint8_t *out)
+CANSER_INLINE uint8_t *put_line(canser_text *self, const canser_frame *frame, unsigned channel,
+                                unsigned direction, uint8_t *out)
 {
     const bool known = frame->ts != CANSER_NO_TIME;
     const int64_t ts = known ? (int64_t)((uint64_t)frame->ts - (uint64_t)self->start_ns) : 0;
@@ -191,6 +191,12 @@ static uint8_t *write(canser_text *self, const canser_frame *frame, unsigned cha
         out = put_spaced(PUT(out, "   "), frame->data, data_len(frame), ' ');
     *out++ = '\n';
     return out;
+}
+
+static uint8_t *write(canser_text *self, const text_frames *from, uint8_t *out, size_t out_cap,
+                      canser_encoded *result)
+{
+    return write_lines(self, from, out, out_cap, result, put_line);
 }
 
 static const struct canser_text_codec codec = {read, write};
