@@ -24,7 +24,24 @@ static const uint8_t bits_of[256] = {
     OTHER,      OTHER, OTHER, OTHER, OTHER, A_TO_Z(0), OTHER, OTHER, OTHER, OTHER, OTHER, OTHER,
     A_TO_Z(26), OTHER, OTHER, OTHER, OTHER, OTHER,     NO_32, NO_32, NO_32, NO_32,
 };
-static const char characters[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+
+/* Two characters of base64 for each number of 12 bits. */
+#define WITH(c)                                                                                    \
+    c, 'A', c, 'B', c, 'C', c, 'D', c, 'E', c, 'F', c, 'G', c, 'H', c, 'I', c, 'J', c, 'K', c,     \
+        'L', c, 'M', c, 'N', c, 'O', c, 'P', c, 'Q', c, 'R', c, 'S', c, 'T', c, 'U', c, 'V', c,    \
+        'W', c, 'X', c, 'Y', c, 'Z', c, 'a', c, 'b', c, 'c', c, 'd', c, 'e', c, 'f', c, 'g', c,    \
+        'h', c, 'i', c, 'j', c, 'k', c, 'l', c, 'm', c, 'n', c, 'o', c, 'p', c, 'q', c, 'r', c,    \
+        's', c, 't', c, 'u', c, 'v', c, 'w', c, 'x', c, 'y', c, 'z', c, '0', c, '1', c, '2', c,    \
+        '3', c, '4', c, '5', c, '6', c, '7', c, '8', c, '9', c, '+', c, '/'
+static const uint8_t pairs[8192] = {
+    WITH('A'), WITH('B'), WITH('C'), WITH('D'), WITH('E'), WITH('F'), WITH('G'), WITH('H'),
+    WITH('I'), WITH('J'), WITH('K'), WITH('L'), WITH('M'), WITH('N'), WITH('O'), WITH('P'),
+    WITH('Q'), WITH('R'), WITH('S'), WITH('T'), WITH('U'), WITH('V'), WITH('W'), WITH('X'),
+    WITH('Y'), WITH('Z'), WITH('a'), WITH('b'), WITH('c'), WITH('d'), WITH('e'), WITH('f'),
+    WITH('g'), WITH('h'), WITH('i'), WITH('j'), WITH('k'), WITH('l'), WITH('m'), WITH('n'),
+    WITH('o'), WITH('p'), WITH('q'), WITH('r'), WITH('s'), WITH('t'), WITH('u'), WITH('v'),
+    WITH('w'), WITH('x'), WITH('y'), WITH('z'), WITH('0'), WITH('1'), WITH('2'), WITH('3'),
+    WITH('4'), WITH('5'), WITH('6'), WITH('7'), WITH('8'), WITH('9'), WITH('+'), WITH('/')};
 
 /* Three bytes, or the `count` first of them, in four characters of base64, padded. */
 CANSER_INLINE const uint8_t *take_quad(const uint8_t *p, size_t count, uint8_t *data)
@@ -105,9 +122,9 @@ CANSER_INLINE uint8_t *put_base64(uint8_t *out, const uint8_t *data, size_t coun
 
     for (int i = 0; i < DLC_MAX; i++)
         bits = bits << 8 | data[i];
-    for (int i = 0; i < 10; i++)
-        out[i] = (uint8_t)characters[bits >> (58 - 6 * i) & 63];
-    out[10] = (uint8_t)characters[bits << 2 & 63];
+    for (int i = 0; i < 5; i++)
+        memcpy(out + 2 * i, pairs + 2 * (bits >> (52 - 12 * i) & 4095), 2);
+    memcpy(out + 10, pairs + 2 * (bits << 8 & 4095), 2);
     out[11] = '=';
     /* A character for six bits that were begun; then four are made whole. */
     memset(out + (8 * count + 5) / 6, '=', 2);

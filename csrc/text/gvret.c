@@ -72,12 +72,18 @@ CANSER_INLINE uint8_t *put_line(canser_text *self, const canser_frame *frame, un
 {
     const bool known = frame->ts != CANSER_NO_TIME;
     const int64_t ts = known ? frame->ts : 0;
+    uint32_t ns;
 
     self->unknown_times += !known;
     self->cut_times += ts % 1000 != 0;
-    if (ts < 0)
-        *out++ = '-';
-    out = put_number(out, (ts < 0 ? 0 - (uint64_t)ts : (uint64_t)ts) / 1000);
+    if (CANSER_LIKELY(ts >= 1000000000)) {
+        out = put_seconds(self, out, ts, &ns) - 1; /* microseconds: without the point */
+        out = put_six(out, ns / 1000);
+    } else {
+        if (ts < 0)
+            *out++ = '-';
+        out = put_number(out, (ts < 0 ? 0 - (uint64_t)ts : (uint64_t)ts) / 1000);
+    }
     *out++ = ',';
     store_text(out, hex_text(split_hex(frame->id), 'A'));
     out += 8;
