@@ -1,5 +1,6 @@
 """Files of any format by one call: what they are, several as one stream, written and converted."""
 
+import contextlib
 import importlib.metadata
 import io
 import itertools
@@ -223,6 +224,20 @@ def test_a_format_of_another_package_that_fails_is_a_warning(tmp_path: Path) -> 
     assert len(canser.read(path, "seeed")) == len(FRAMES)  # it is not asked
     with pytest.raises(ValueError, match="reads failing, and does not write it"):
         canser.write(FRAMES, tmp_path / "run.x")
+
+
+@pytest.mark.usefixtures("_failing")
+@pytest.mark.parametrize(("written", "is_asked"), [("seeed", False), ("serial", True)])
+def test_formats_of_other_packages_are_not_asked_about_what_is_surely_raw(
+    tmp_path: Path, written: str, is_asked: bool
+) -> None:
+    path, out = tmp_path / "run.bin", tmp_path / "run.npy"
+    path.write_bytes(canser.encode(FRAMES, written))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with contextlib.suppress(canser.CanserError):
+            canser.convert(path, out, "seeed")
+    assert any("'failing'" in str(each.message) for each in caught) == is_asked
 
 
 @pytest.mark.usefixtures("_added")

@@ -41,7 +41,7 @@ from canser.files import (
     trc,
 )
 from canser.files.foreign import HEAD_LEN, TEXT, recognise
-from canser.files.judge import is_auto
+from canser.files.judge import is_auto, is_surely
 from canser.files.packed import without_packing
 from canser.files.reader import DecodedReader, Reader, ReadOptions
 from canser.files.writer import WriteOptions, Writer
@@ -195,7 +195,10 @@ def choose_format(source: Input, options: ReadOptions, given: str | None) -> str
     if forced and options.as_is:
         return RAW
     head = _head(source, wait=options.protocol is None)
-    found = _sniffed(head, added=not forced)
+    # Formats of other packages take long to find. They are not asked about bytes that are surely of
+    # the given protocol.
+    sure = given_raw and is_surely(str(options.protocol), head)
+    found = _sniffed(head, added=not forced and not sure)
     if found is not None:
         if forced:
             what = f"{source.name} is {find_format(found).about}, not raw bytes"

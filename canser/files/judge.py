@@ -6,7 +6,7 @@ from canser._core.buffers import BytesLike
 from canser._input import Input
 from canser._protocols import protocols
 from canser.codec.decoder import Decoder
-from canser.codec.doubt import is_doubtful
+from canser.codec.doubt import has_marks, is_doubtful
 from canser.errors import NoProtocolError
 from canser.files.fits import Fit, identify
 
@@ -17,6 +17,7 @@ __all__ = [
     "describe_doubt",
     "describe_fit",
     "is_auto",
+    "is_surely",
     "likely",
 ]
 
@@ -28,6 +29,9 @@ _AUTO_SCORE: Final = 0.9
 
 # Bytes of a pipe to wait for before its protocol is chosen: 1.4 s of the slowest adapter's line.
 _AUTO_LEN: Final = 1 << 14
+
+# Frames without a gap that are no accident.
+_FEW: Final = 8
 
 _NOTHING: Final = "no protocol that canser knows"
 
@@ -59,6 +63,17 @@ def choose_protocol(protocol: str | None, source: Input) -> tuple[str, str]:
     if fit is None or not is_auto(protocol) or not _is_plain(fit):
         raise _no_protocol(source.name, fit)
     return fit.protocol, f"read as {describe_fit(fit)}"
+
+
+def is_surely(protocol: str, head: bytes) -> bool:
+    """Return whether the first bytes of a file are raw bytes of a protocol beyond doubt.
+
+    They are packets without a gap. Other bytes may be as well where packets have no marks.
+    """
+    if not has_marks(protocol):
+        return False
+    decoder = Decoder(protocol)
+    return len(decoder.feed(head)) > _FEW and not decoder.stats.bytes_skipped
 
 
 def _no_protocol(name: str, fit: Fit | None) -> NoProtocolError:

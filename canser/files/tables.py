@@ -2,8 +2,7 @@
 
 import io
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, BinaryIO, Final
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 import numpy as np
 
@@ -16,6 +15,9 @@ from canser.files.columns import from_batch, load_pyarrow, to_batch
 from canser.files.reader import ReadOptions
 from canser.files.tagged import TaggedReader
 from canser.files.tags import RECEIVED, Tagged, joined
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
 __all__ = ["BatchReader", "BatchWriter"]
 
@@ -83,6 +85,8 @@ class BatchWriter:
     takes_tags = True
 
     def __init__(self, file: BinaryIO, name: str) -> None:
+        from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - slow, seldom used
+
         self._pa = load_pyarrow(name)
         self._file = _Sink(file)
         self._writer: Any = None
