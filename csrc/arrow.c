@@ -5,44 +5,23 @@
  * in groups, all columns of a group together, so that records are read from memory once. Values
  * that lie in a block of memory already are shared instead.
  *
- * This is the one file that allocates: the takers of a table, or of a block, own its memory
- * together, and the last one gives it back. A taker may move a struct away from where it was made,
- * and release it anywhere, in any order. So all structs of one export stand in one room, which is
- * freed when the last of them is released.
+ * The takers of a table, or of a block, own its memory together, and the last one gives it back. A
+ * taker may move a struct away from where it was made, and release it anywhere, in any order. So
+ * all structs of one export stand in one room, which is freed when the last of them is released.
  *
  * Source: arrow.apache.org, The Arrow C data interface, The Arrow C stream interface, Arrow
  * columnar format.
  */
-#if defined(__linux__) && !defined(_DEFAULT_SOURCE)
-#define _DEFAULT_SOURCE /* madvise, where -std=c11 hides it */
-#endif
-
 #include "arrow.h"
 
+#include "memory.h"
 #include "protocol.h"
 
 #include <errno.h>
 #include <stdlib.h>
 
-#if defined(__linux__)
-#include <sys/mman.h>
-#endif
-
-/* A test names its own functions here, to let the first one fail, and to count. */
-#ifdef CANSER_MALLOC
-void *CANSER_MALLOC(size_t size);
-void CANSER_FREE(void *p);
-#else
-#define CANSER_MALLOC malloc
-#define CANSER_FREE   free
-#endif
-
 /* Columns begin at multiples of this, and are padded to it with zeros, as Arrow recommends. */
 enum { ALIGNMENT = 64 };
-
-/* From this size on the kernel is asked for large pages, as numpy does: the first use of each page
- * costs more than the writing. */
-enum { LARGE = 1 << 22, PAGE = 1 << 12 };
 
 /* Rows that are copied at a time, a multiple of 8: 24 KiB of frames, which the nearest cache holds.
  */
@@ -83,21 +62,6 @@ CANSER_INLINE size_t padded(size_t size)
     return (size + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
 }
 
-/* Memory for `size` bytes, which are not set, or NULL. */
-static void *allocate(size_t size)
-{
-    void *const p = CANSER_MALLOC(size);
-
-#ifdef MADV_HUGEPAGE
-    if (p && size >= LARGE) {
-        const size_t skipped = PAGE - (uintptr_t)p % PAGE;
-        /* A kernel without large pages refuses: then they are small. */
-        (void)madvise((uint8_t *)p + skipped, size - skipped, MADV_HUGEPAGE);
-    }
-#endif
-    return p;
-}
-
 /* The first multiple of ALIGNMENT from `p` on. */
 CANSER_INLINE uint8_t *aligned(void *p)
 {
@@ -111,7 +75,7 @@ int canser_block_new(size_t size, canser_block **block)
     *block = NULL;
     if (size > SIZE_MAX / 2)
         return CANSER_NO_MEMORY;
-    canser_block *const self = allocate(sizeof *self + ALIGNMENT + padded(size));
+    canser_block *const self = canser_memory_get(sizeof *self + ALIGNMENT + padded(size));
     if (!self)
         return CANSER_NO_MEMORY;
     *self = (canser_block){.refs = 1, .size = size, .values = aligned(self + 1)};
@@ -139,7 +103,7 @@ size_t canser_block_owners(canser_block *self)
 void canser_block_release(canser_block *self)
 {
     if (self && !CANSER_ADD(&self->refs, -1))
-        CANSER_FREE(self);
+        canser_memory_release(self);
 }
 
 CANSER_INLINE const uint8_t *value_at(const canser_column *from, size_t row)
@@ -466,7 +430,7 @@ int canser_table_new(const canser_column *columns, size_t column_count, size_t r
         return CANSER_NO_MEMORY;
     size = sizeof(canser_table) + column_count * sizeof(table_column);
     canser_table *const self =
-        allocate(size + ALIGNMENT + place(NULL, NULL, columns, column_count, row_count));
+        canser_memory_get(size + ALIGNMENT + place(NULL, NULL, columns, column_count, row_count));
     if (!self)
         return CANSER_NO_MEMORY;
     *self = (canser_table){.refs = 1, .row_count = row_count, .column_count = column_count};
@@ -498,7 +462,7 @@ void canser_table_release(canser_table *self)
         return;
     for (size_t i = 0; i < self->column_count; i++)
         canser_block_release(self->columns[i].block);
-    CANSER_FREE(self);
+    canser_memory_release(self);
 }
 
 int canser_table_column(const canser_table *self, size_t index, const uint8_t **values,
@@ -545,7 +509,7 @@ static void leave_schema_room(schema_room *room)
 {
     if (!CANSER_ADD(&room->refs, -1)) {
         canser_table_release(room->table);
-        CANSER_FREE(room);
+        canser_memory_release(room);
     }
 }
 
@@ -570,8 +534,8 @@ int canser_table_schema(canser_table *self, struct ArrowSchema **schema)
     if (!self)
         return CANSER_NULL;
     const size_t count = self->column_count;
-    schema_room *const room =
-        CANSER_MALLOC(sizeof *room + count * (sizeof *room->slots + sizeof(struct ArrowSchema *)));
+    schema_room *const room = canser_memory_get(
+        sizeof *room + count * (sizeof *room->slots + sizeof(struct ArrowSchema *)));
     if (!room)
         return CANSER_NO_MEMORY;
     struct ArrowSchema **const pointers = (struct ArrowSchema **)(void *)&room->slots[count];
@@ -642,7 +606,7 @@ static void leave_array_room(array_room *room)
 {
     if (!CANSER_ADD(&room->refs, -1)) {
         canser_table_release(room->table);
-        CANSER_FREE(room);
+        canser_memory_release(room);
     }
 }
 
@@ -667,8 +631,8 @@ int canser_table_array(canser_table *self, struct ArrowArray **array)
     if (!self)
         return CANSER_NULL;
     const size_t count = self->column_count;
-    array_room *const room =
-        CANSER_MALLOC(sizeof *room + count * (sizeof *room->slots + sizeof(struct ArrowArray *)));
+    array_room *const room = canser_memory_get(
+        sizeof *room + count * (sizeof *room->slots + sizeof(struct ArrowArray *)));
     if (!room)
         return CANSER_NO_MEMORY;
     struct ArrowArray **const pointers = (struct ArrowArray **)(void *)&room->slots[count];
@@ -744,7 +708,7 @@ static void leave_stream_room(stream_room *room)
 {
     if (!CANSER_ADD(&room->refs, -1)) {
         canser_table_release(room->table);
-        CANSER_FREE(room);
+        canser_memory_release(room);
     }
 }
 
@@ -806,7 +770,7 @@ int canser_table_stream(canser_table *self, struct ArrowArrayStream **stream)
     *stream = NULL;
     if (!self)
         return CANSER_NULL;
-    stream_room *const room = CANSER_MALLOC(sizeof *room);
+    stream_room *const room = canser_memory_get(sizeof *room);
     if (!room)
         return CANSER_NO_MEMORY;
     *room = (stream_room){

@@ -30,7 +30,7 @@ FAST = ["-O2", "-ffp-contract=off"]
 DEBUG = ["-g", "-O1"]
 SANITIZED = [*DEBUG, "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
-# The memory of tables, arrow.c, comes from functions of the test.
+# The memory of tables, memory.c, comes from functions of the test.
 COUNTED = ["-DCANSER_MALLOC=counted_malloc", "-DCANSER_FREE=counted_free", "-pthread"]
 
 # Strings of each set and length: as many as take some seconds, under sanitizers too. All of them
@@ -63,7 +63,7 @@ def build_test(folder: Path, name: str, flags: list[str], *more: str) -> Path:
     own = sorted((HERE / "c" / name).glob("*.c")) or [HERE / "c" / f"{name}.c"]
     core = build_core(folder, flags)
     if COUNTED[0] in more:
-        own.append(CORE / "arrow.c")
+        own.append(CORE / "memory.c")
         core = [path for path in core if path.name != object_of(own[-1])]
     return build(folder / name, *flags, *more, f"-I{CORE}", f"-I{HERE / 'c'}", *own, *core)
 

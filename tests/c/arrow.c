@@ -825,6 +825,95 @@ static void in_threads(size_t round)
     check(!blocks, "blocks of memory are left", round);
 }
 
+enum { LARGE = 5 << 20 };
+
+/* Large memory that is released is used again by what is not much smaller; and given back if there
+ * is no other. */
+static void in_kept_memory(void)
+{
+    uint8_t *values;
+    canser_block *block, *other;
+
+    check(!canser_block_new(LARGE, &block) && blocks == 1, "a large block", 0);
+    values = canser_block_values(block);
+    canser_block_release(block);
+    check(blocks == 1, "its memory is kept", 0);
+    check(!canser_block_new(LARGE - 9999, &block) && blocks == 1, "its memory is used again", 0);
+    check(canser_block_values(block) == values, "its memory is the same", 0);
+    check(!canser_block_new(LARGE, &other) && blocks == 2, "another large block", 0);
+    canser_block_release(other);
+    check(!canser_block_new(2 * LARGE, &other) && blocks == 3, "a larger block", 0);
+    canser_block_release(other);
+    check(!canser_block_new(99, &other) && blocks == 4, "a small block", 0);
+    canser_block_release(other);
+    check(blocks == 3, "small memory is not kept", 0);
+    canser_block_release(block);
+    for (size_t i = 0; i < 20; i++) { /* larger ones, so that none fits the next */
+        const size_t size = 2 * LARGE + i * 100000;
+
+        check(!canser_block_new(size, &block) && !canser_block_new(size, &other), "larger", i);
+        canser_block_release(block);
+        canser_block_release(other);
+        check(blocks <= 8, "few pieces are kept", i);
+    }
+    check(!canser_block_new(12 * LARGE, &block) && !canser_block_new(12 * LARGE, &other), "huge",
+          0);
+    canser_block_release(block);
+    canser_block_release(other);
+    check(blocks == 1, "not more than 96 MiB are kept", 0);
+    calls = 0;
+    fails_at = 0;
+    check(!canser_block_new(20 * LARGE, &block) && blocks == 1, "all is given back first", 0);
+    fails_at = -1;
+    canser_block_release(block);
+    check(!blocks, "blocks of memory are left", 0);
+}
+
+/* Threads that have large blocks, of which none is another's. */
+static void *use_large(void *argument)
+{
+    const uint8_t own = *(const uint8_t *)argument;
+
+    for (int i = 0; i < 200; i++) {
+        canser_block *block;
+        uint8_t *values;
+
+        check(!canser_block_new(LARGE, &block), "a large block in a thread", 0);
+        values = canser_block_values(block);
+        values[0] = values[LARGE - 1] = own;
+        for (int j = 1; j < 9; j++)
+            values[j * 1000] = (uint8_t)(own + j);
+        for (int j = 1; j < 9; j++)
+            check(values[j * 1000] == (uint8_t)(own + j), "a value of a large block", 0);
+        check(values[0] == own && values[LARGE - 1] == own, "the ends of a large block", 0);
+        canser_block_release(block);
+    }
+    return NULL;
+}
+
+static void in_threads_with_kept_memory(void)
+{
+    uint8_t numbers[THREADS];
+    pthread_t threads[THREADS];
+    canser_block *block;
+
+    for (int i = 0; i < THREADS; i++) {
+        numbers[i] = (uint8_t)(16 * i);
+        if (pthread_create(&threads[i], NULL, use_large, &numbers[i])) {
+            perror("arrow: pthread_create");
+            exit(2);
+        }
+    }
+    for (int i = 0; i < THREADS; i++)
+        pthread_join(threads[i], NULL);
+    calls = 0;
+    fails_at = 0;
+    check(!canser_block_new(99, &block), "a block after the threads", 0);
+    fails_at = -1;
+    canser_block_release(block);
+    check(!blocks, "blocks of memory are left", 0);
+}
+
 int main(int argc, char **argv)
 {
     const size_t rounds = argc > 1 ? (size_t)strtoul(argv[1], NULL, 10) : 2000;
@@ -836,6 +925,8 @@ int main(int argc, char **argv)
     mistakes();
     mistakes_of_sharing();
     without_memory();
+    in_kept_memory();
+    in_threads_with_kept_memory();
     for (size_t round = 0; round < rounds; round++)
         one_round(round);
     for (size_t round = 0; round < TURNS; round++)
