@@ -5,10 +5,11 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import numpy.typing as npt
 
+from canser._core.arrow import shared_empty
 from canser._core.changes import copy_changes
 from canser._core.ids import Rows, order_rows
 from canser._core.text import Codes
-from canser._frames import FRAME_DTYPE, FrameArray, contiguous_frames
+from canser._frames import FRAME_DTYPE, FrameArray, contiguous_frames, copy_records
 from canser._notation import ERR_FLAG
 from canser.analysis.ids import contiguous
 from canser.analysis.names import id_digits
@@ -151,7 +152,9 @@ def changes(frames: FrameArray, *, channels: Codes | None = None) -> FrameArray:
     array([291, 292, 291], dtype=uint32)
     """
     frames, channels = contiguous(frames, channels)
-    out = np.empty(max(1, len(frames)), FRAME_DTYPE)
-    # Shortened in its place, which copies nothing.
-    out.resize(copy_changes(frames, channels, out), refcheck=False)
-    return out
+    if not len(frames):
+        return np.empty(0, FRAME_DTYPE)
+    out = shared_empty(3 * len(frames), np.uint64).view(FRAME_DTYPE)
+    found = out[: copy_changes(frames, channels, out)]
+    # Few frames do not hold the memory of all.
+    return found if 2 * len(found) >= len(out) else copy_records(found)
