@@ -1,8 +1,10 @@
 """Times and sizes as people write them, such as 500ms, 1h, 100M."""
 
 import re
-from fractions import Fraction
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from fractions import Fraction
 
 __all__ = ["LONGEST_S", "is_duration", "parse_bytes", "parse_ns", "parse_seconds"]
 
@@ -41,13 +43,19 @@ def parse_seconds(text: str) -> float:
     return seconds
 
 
+def _exact(number: str) -> "Fraction":
+    from fractions import Fraction  # noqa: PLC0415 - slow, and seldom needed
+
+    return Fraction(number)
+
+
 def parse_ns(text: str) -> int:
     """Return the nanoseconds of a time such as 100us, 10ms or 1s, exactly; or raise ValueError."""
     found = _DURATION.fullmatch(text)
     if found is None:
         raise ValueError(f"cannot read the time {text!r}; write 100us, 10ms, 1s")
     unit_ns = round(_SECONDS[found["unit"]] * 1_000_000_000)
-    ns = Fraction(found["number"]) * unit_ns
+    ns = _exact(found["number"]) * unit_ns
     if ns.denominator != 1:
         raise ValueError(f"the time {text} is no whole number of nanoseconds; give fewer digits")
     if ns > LONGEST_S * 1_000_000_000:
@@ -60,4 +68,4 @@ def parse_bytes(text: str) -> int:
     found = _BYTE_COUNT.fullmatch(text)
     if found is None:
         raise ValueError(f"cannot read the size {text!r}; write 500k, 100M or 1G")
-    return int(Fraction(found["number"]) * _UNITS[found["unit"]])
+    return int(_exact(found["number"]) * _UNITS[found["unit"]])

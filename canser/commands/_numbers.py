@@ -10,7 +10,6 @@ from argparse import ArgumentTypeError
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta, timezone, tzinfo
 from typing import Final
-from zoneinfo import ZoneInfo
 
 from canser._quantities import is_duration, parse_bytes, parse_seconds
 from canser.files.selection import Moment
@@ -130,6 +129,8 @@ def time_zone(text: str) -> tzinfo:
     if found:
         minutes = int(found["hours"]) * 60 + int(found["minutes"])
         return timezone(timedelta(minutes=-minutes if found["sign"] == "-" else minutes))
+    from zoneinfo import ZoneInfo  # noqa: PLC0415 - slow, and seldom needed
+
     try:
         return UTC if text.upper() == "UTC" else ZoneInfo(text)
     except (KeyError, ValueError, OSError):

@@ -40,6 +40,9 @@ def write(file: BinaryIO, options: WriteOptions) -> "Writer":  # noqa: ARG001 - 
 class Writer(BatchWriter):
     """Writes frames as row groups."""
 
+    def _load(self) -> None:
+        from pyarrow import parquet  # noqa: F401, PLC0415 - an optional extra
+
     def _open(self, schema: Any) -> Any:
         from pyarrow import parquet  # noqa: PLC0415 - an optional extra
 

@@ -91,11 +91,15 @@ class BatchWriter:
         self._file = _Sink(file)
         self._writer: Any = None
         self._thread = ThreadPoolExecutor(1, "canser-batches")
-        self._packing: Future[None] | None = None  # of the batch before
+        # Of the batch before; at first, the import that takes long, while the first batch is made.
+        self._packing: Future[None] | None = self._thread.submit(self._load)
         self._dated = False
         self._held: list[Tagged] = []  # blocks of the next batch
         self._held_count = 0
         self._room: FrameArray = np.empty(0, FRAME_DTYPE)  # in which their frames lie
+
+    def _load(self) -> None:
+        """Import what `_open` needs."""
 
     def _open(self, schema: Any) -> Any:
         """Begin the file; return what has `write_batch` and `close`."""
