@@ -1160,6 +1160,7 @@ typedef struct {
     canser_cursor **cursors; /* private: that of a page's group, if it is the only one */
     canser_cursor nowhere;   /* private: that of all other pages, without room */
     uint32_t is_past;        /* private: whether columns are stored past the cache */
+    uint32_t is_wide;        /* private: and by AVX2 */
     const canser_signal *signals;
     uint64_t remote_count; /* remote frames, which have no data */
     uint64_t error_count;

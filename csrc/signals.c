@@ -6,6 +6,10 @@
  * nothing depends on the frame. */
 #include "past.h"
 
+#if CANSER_HAS_PAST
+#include <immintrin.h>
+#endif
+
 #define BLOCK CANSER_SIGNAL_BLOCK
 
 /* Columns of more bytes together do not stay in the cache, and are stored past it. */
@@ -172,42 +176,60 @@ static void fill_float(const canser_signal *signal, const uint64_t *restrict num
             values[i] = values[i] * signal->factor + signal->addend;
 }
 
-/* Fill a column whose numbers have up to 31 bits, past the cache: as fill_scaled(), without a room
- * between. Returns how many elements are filled, up to 3 less than `count`; or 0. */
-CANSER_INLINE size_t fill_past(const canser_signal *signal, const uint64_t *restrict numbers,
-                               size_t count, uint64_t *column)
-{
 #if CANSER_HAS_PAST
+CANSER_INLINE bool has_avx2(void)
+{
+    return __builtin_cpu_supports("avx2");
+}
+
+/* Fill a column whose numbers have up to 31 bits, past the cache: as fill_scaled(), without a room
+ * between. For processors with AVX2. Returns how many elements are filled, up to 7 less than
+ * `count`; or 0. */
+__attribute__((target("avx2"))) static size_t fill_past(const canser_signal *signal,
+                                                        const uint64_t *restrict numbers,
+                                                        size_t count, uint64_t *column)
+{
     const __m128i shift = _mm_cvtsi32_si128(signal->field.shift);
     const __m128i rest = _mm_cvtsi32_si128(32 - signal->field.bit_count);
-    const __m128d factor = _mm_set1_pd(signal->factor);
-    const __m128d addend = _mm_set1_pd(signal->addend);
+    const __m256d factor = _mm256_set1_pd(signal->factor);
+    const __m256d addend = _mm256_set1_pd(signal->addend);
+    const bool is_signed = signal->field.is_signed;
     size_t i;
 
-    if (signal->field.bit_count > 31 || (uintptr_t)column % 16)
+    if (signal->field.bit_count > 31 || (uintptr_t)column % 32)
         return 0;
-    for (i = 0; i + 4 <= count; i += 4) {
-        const __m128i *const from = (const __m128i *)(const void *)(numbers + i);
+    for (i = 0; i + 8 <= count; i += 8) {
+        const __m256i *const from = (const __m256i *)(const void *)(numbers + i);
         double *const to = (double *)column + i;
-        const __m128i low = _mm_srl_epi64(_mm_loadu_si128(from), shift);
-        const __m128i high = _mm_srl_epi64(_mm_loadu_si128(from + 1), shift);
-        __m128i four = _mm_castps_si128(
-            _mm_shuffle_ps(_mm_castsi128_ps(low), _mm_castsi128_ps(high), _MM_SHUFFLE(2, 0, 2, 0)));
-        __m128d two;
+        const __m256i low = _mm256_srl_epi64(_mm256_loadu_si256(from), shift);
+        const __m256i high = _mm256_srl_epi64(_mm256_loadu_si256(from + 1), shift);
+        __m256i eight = _mm256_castps_si256(_mm256_shuffle_ps(
+            _mm256_castsi256_ps(low), _mm256_castsi256_ps(high), _MM_SHUFFLE(2, 0, 2, 0)));
+        __m256d four;
 
-        four = _mm_sll_epi32(four, rest);
-        four = signal->field.is_signed ? _mm_sra_epi32(four, rest) : _mm_srl_epi32(four, rest);
-        two = _mm_cvtepi32_pd(four);
-        _mm_stream_pd(to, _mm_add_pd(_mm_mul_pd(two, factor), addend));
-        two = _mm_cvtepi32_pd(_mm_shuffle_epi32(four, _MM_SHUFFLE(3, 2, 3, 2)));
-        _mm_stream_pd(to + 2, _mm_add_pd(_mm_mul_pd(two, factor), addend));
+        eight = _mm256_sll_epi32(eight, rest);
+        eight = is_signed ? _mm256_sra_epi32(eight, rest) : _mm256_srl_epi32(eight, rest);
+        eight = _mm256_permute4x64_epi64(eight, _MM_SHUFFLE(3, 1, 2, 0)); /* in their order */
+        four = _mm256_cvtepi32_pd(_mm256_castsi256_si128(eight));
+        _mm256_stream_pd(to, _mm256_add_pd(_mm256_mul_pd(four, factor), addend));
+        four = _mm256_cvtepi32_pd(_mm256_extracti128_si256(eight, 1));
+        _mm256_stream_pd(to + 4, _mm256_add_pd(_mm256_mul_pd(four, factor), addend));
     }
     return i;
+}
 #else
+CANSER_INLINE bool has_avx2(void)
+{
+    return false;
+}
+
+CANSER_INLINE size_t fill_past(const canser_signal *signal, const uint64_t *numbers, size_t count,
+                               uint64_t *column)
+{
     (void)signal, (void)numbers, (void)count, (void)column;
     return 0;
-#endif
 }
+#endif
 
 /* Let a group's block take as many samples as the group has room for. */
 CANSER_INLINE void empty_block(canser_group *group)
@@ -247,7 +269,7 @@ static void decode_block(const canser_database *self, canser_group *group)
             is_swapped = true;
             numbers = swapped;
         }
-        if (self->is_past && signal->kind == CANSER_SIGNAL_SCALED)
+        if (self->is_wide && signal->kind == CANSER_SIGNAL_SCALED)
             done = fill_past(signal, numbers, count, column);
         if (signal->kind == CANSER_SIGNAL_SCALED)
             fill_scaled(signal, numbers + done, count - done, out);
@@ -624,6 +646,7 @@ int canser_database_decode(canser_database *self, const canser_frame *frames, si
     cursors = self->cursors;
     route_count = self->page_count < CANSER_FAR_ROUTE ? self->page_count : CANSER_FAR_ROUTE;
     self->is_past = is_large(self);
+    self->is_wide = self->is_past && has_avx2();
     for (size_t i = 0; i < self->group_count; i++)
         empty_block(&self->groups[i]);
     for (size_t i = 0; i < route_count; i++)
