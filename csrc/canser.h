@@ -990,8 +990,8 @@ int canser_order_rows(const uint32_t *row_of, const int64_t *steps, size_t frame
 typedef struct {
     uint64_t head; /* its first 8 bytes, with the dlc */
     uint64_t data;
-    uint64_t key; /* what tells the id, kind and channel; or CANSER_NO_KEY */
-    uint64_t unused;
+    uint64_t key;    /* what tells the id, kind and channel; or CANSER_NO_KEY */
+    uint64_t unused; /* so that each lies in one line of the cache */
 } canser_last;
 
 /* The last frames, in an open hash. It starts with all bytes zero but `spread`. */

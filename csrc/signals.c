@@ -645,6 +645,7 @@ int canser_database_decode(canser_database *self, const canser_frame *frames, si
         return status;
     cursors = self->cursors;
     route_count = self->page_count < CANSER_FAR_ROUTE ? self->page_count : CANSER_FAR_ROUTE;
+    self->nowhere = (canser_cursor){NULL, NULL};
     self->is_past = is_large(self);
     self->is_wide = self->is_past && has_avx2();
     for (size_t i = 0; i < self->group_count; i++)

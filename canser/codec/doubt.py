@@ -1,7 +1,6 @@
 """The doubt whether bytes are of a protocol: too many of them lie in no packet."""
 
 import functools
-import random
 from typing import Final
 
 import numpy as np
@@ -45,6 +44,8 @@ def has_marks(protocol: str) -> bool:
 @functools.cache
 def _skipped_of_random(protocol: str) -> float:
     """Return the share of random bytes that lies in no packet."""
+    import random  # noqa: PLC0415 - slow, and often not needed
+
     stream = Stream(find_protocol(protocol), 1)
     data = input_bytes(random.Random(1).randbytes(_RANDOM_LEN))
     room = np.empty(_RANDOM_LEN, FRAME_DTYPE)  # for more frames than there can be

@@ -67,7 +67,6 @@ only: a float64 of epoch nanoseconds resolves 256 ns.
 from collections import deque
 from dataclasses import dataclass
 from itertools import pairwise
-from statistics import median
 from typing import Final
 
 import numpy as np
@@ -376,6 +375,8 @@ class _DeviceClock:
             self._middles.append((middle, arrival))
         if len(self._middles) <= _RATES_LEAST:
             return
+        from statistics import median  # noqa: PLC0415 - slow, and seldom needed
+
         rates = [_wrapped(d - c) / (b - a) for (c, a), (d, b) in pairwise(self._middles)]
         rate = median(rates)
         agree = [other for other in rates if abs(other - rate) <= 0.25 * abs(rate) + 0.01]
