@@ -277,7 +277,15 @@ def to_parquet(folder: Path, count: int, rounds: int) -> Iterator[LogRow]:
 
     peer_s, our_s, ratio = paired(lambda: run("-c", code), lambda: run(*command), rounds)
     assert (canser.read(target) == canser.read(made)).all()
-    note = f"{count / our_s / 1e6:.1f} M frames/s, pyarrow {count / peer_s / 1e6:.1f}"
+    # What both take before the first frame.
+    few, tiny = folder / "few.bin", folder / "few.parquet"
+    canser.write(traffic(100), few, "serial", force=True)
+    start = ["-m", "canser", "convert", str(few), str(tiny), "-p", "serial", "--force"]
+    peer_start_s, start_s, _ = paired(
+        lambda: run("-c", "import pyarrow.parquet"), lambda: run(*start), rounds
+    )
+    note = f"{our_s:.2f} s, {start_s:.2f} of it to start; "
+    note += f"pyarrow {peer_s:.2f}, {peer_start_s:.2f} of it to start"
     yield LogRow("raw to parquet, process, over pyarrow", "", ratio, 0.8, note)
 
 
