@@ -201,6 +201,15 @@ def test_other_formats_are_read(tmp_path: Path, suffix: str) -> None:
     assert rpm.values.tolist() == [2000.0]
 
 
+def test_arxml_is_read() -> None:
+    db = canser.Database(Path(__file__).parent / "databases" / "engine.arxml")
+    assert [(message.name, message.id, message.length) for message in db.messages.values()] == [
+        ("EngineData", 0x123, 3)
+    ]
+    rpm = db.decode(canser.frames("123#401F00"))["RPM"]
+    assert (rpm.values.tolist(), rpm.unit) == ([2000.0], "rpm")
+
+
 # ---- How messages are found.
 
 
