@@ -80,7 +80,7 @@ PGN_DTYPE: Final = _struct("canser_pgn")
 # The types of a database's fields, by their names.
 _POINTERS: Final = {name: field.type for name, field in ffi.typeof("canser_database").fields}
 
-# Ids that are kept at most, 32 bytes each, with 2 to 4 places for each. Only noise has more.
+# Ids that are kept at most. Only noise has so many: then their places take up to 128 MiB.
 _IDS_MOST: Final = 1 << 20
 
 # Numbers that are tried to spread the ids of a database.
@@ -225,7 +225,7 @@ class SignalTables:
         )
 
     def _move_ids(self) -> None:
-        cap = _places(len(self._ids))
+        cap = _places(self._database.id_count)
         ids = np.zeros(cap, KNOWN_ID_DTYPE)
         at = ffi.from_buffer("canser_known_id[]", ids)
         self._check(lib.canser_database_move_ids(self._database, at, cap))
