@@ -7,23 +7,13 @@
 #include "guarded.h"
 
 #include "canser.h"
+#include "checks.h"
 
-#include <stdbool.h>
 #include <string.h>
 
 enum { SAMPLES = 40, POINTS = 60 };
 
 static const uint64_t missing = UINT64_C(0x7FF8123456789ABC);
-
-static unsigned long passed, failed;
-
-static void check(bool holds, const char *what)
-{
-    passed += holds;
-    failed += !holds;
-    if (!holds && failed < 10)
-        printf("FAILED %s\n", what);
-}
 
 /* Arrays that end at a page that may not be touched. */
 static int64_t *ts_end, *times_end;
@@ -235,6 +225,5 @@ int main(int argc, char **argv)
         run_wild();
     }
     check_errors();
-    printf("%lu passed, %lu failed\n", passed, failed);
-    return failed != 0;
+    return told();
 }
