@@ -9,6 +9,7 @@ read() and write().
 import csv
 import io
 import os
+import struct
 import subprocess
 import sys
 import warnings
@@ -21,6 +22,7 @@ import numpy as np
 import canser
 import data
 from canser._frames import FrameArray
+from canser.files.blf import _packing
 from canser.files.formats import find_format
 from canser.files.writer import WriteOptions
 from measure import paired
@@ -198,6 +200,36 @@ def file_to_file(name: str, count: int, folder: Path, rounds: int) -> Iterator[L
     yield LogRow(f"write to {name}, over a copy", "", ratio, 0.5, note)
 
 
+def packing_alone(count: int, folder: Path, rounds: int) -> Iterator[LogRow]:
+    """Compare inflating and deflating the containers of a BLF file, and no more, with a copy."""
+    path, copied = folder / "run.blf", folder / "copy"
+    canser.write(traffic(count), path, force=True)
+    raw, module = path.read_bytes(), _packing()
+    packed = []
+    (at,) = struct.unpack_from("<I", raw, 4)
+    while at < len(raw):
+        (size,) = struct.unpack_from("<I", raw, at + 8)
+        packed.append(raw[at + 32 : at + size])  # behind the headers of a container
+        at += size + size % 4
+    contents = [module.decompress(each) for each in packed]
+
+    def copy() -> None:
+        copied.write_bytes(path.read_bytes())
+
+    def inflate() -> None:
+        for each in packed:
+            module.decompress(each)
+
+    def deflate() -> None:
+        for each in contents:
+            module.compress(each, 1)
+
+    for what, work in (("inflating", inflate), ("deflating", deflate)):
+        copy_s, our_s, ratio = paired(copy, work, rounds)
+        note = f"{our_s:.3f} s, copy {copy_s:.3f}; {module.__name__}"
+        yield LogRow(f"{what} blf, no more, over a copy", "", ratio, None, note)
+
+
 def mf4(folder: Path, rounds: int) -> Iterator[LogRow]:
     """Compare writing MF4 with python-can, by the frame, and with asammdf alone."""
     import asammdf  # noqa: PLC0415 - seldom used
@@ -297,6 +329,7 @@ def rows(rounds: int, folder: Path, count: int = 1_000_000) -> Iterator[LogRow]:
             yield from in_memory(name, rounds)
         for name in REQUIRED:
             yield from file_to_file(name, count, folder, rounds)
+        yield from packing_alone(count, folder, rounds)
         yield from mf4(folder, rounds)
         yield from to_parquet(folder, 2 * count, rounds)
 
@@ -307,7 +340,8 @@ def main() -> None:
 
     with tempfile.TemporaryDirectory() as folder:
         for row in rows(3, Path(folder)):
-            print(f"{row.what:40} {row.reached:8.3g} {row.required:8.3g}  {row.note}", flush=True)
+            required = "" if row.required is None else f"{row.required:.3g}"
+            print(f"{row.what:40} {row.reached:8.3g} {required:>8}  {row.note}", flush=True)
 
 
 if __name__ == "__main__":
