@@ -21,17 +21,12 @@ typedef struct {
 
 CANSER_INLINE last_table table_of(const canser_changes *self)
 {
-    last_table table = {self->lasts, self->cap - 1, self->spread, 64};
-
-    for (size_t cap = self->cap; cap > 1; cap >>= 1)
-        table.shift--;
-    return table;
+    return (last_table){self->lasts, self->cap - 1, self->spread, place_shift(self->cap, 64)};
 }
 
 /* Return the place of a key: its own, or a free one. */
 CANSER_INLINE canser_last *find_last(last_table table, uint64_t key)
 {
-    /* The upper bits of the product depend on all bits of the key. */
     size_t at = (size_t)(key * table.spread >> table.shift);
 
     while (!CANSER_LIKELY(table.lasts[at].key == key) && table.lasts[at].key != CANSER_NO_KEY)

@@ -73,18 +73,13 @@ typedef struct {
 
 CANSER_INLINE row_table table_of(const canser_ids *self)
 {
-    row_table table = {self->rows, self->slots, self->slot_cap - 1,
-                       self->spread ? self->spread : SPREAD, 64};
-
-    for (size_t cap = self->slot_cap; cap > 1; cap >>= 1)
-        table.shift--;
-    return table;
+    return (row_table){self->rows, self->slots, self->slot_cap - 1,
+                       self->spread ? self->spread : SPREAD, place_shift(self->slot_cap, 64)};
 }
 
 /* Return where the number of the row of a key stands; or where it is to be put: 0 is there. */
 CANSER_INLINE uint32_t *find_slot(row_table table, uint64_t key)
 {
-    /* The upper bits of the product depend on all bits. */
     size_t at = (size_t)(key * table.spread >> table.shift);
 
     while (table.slots[at] && load(&table.rows[table.slots[at] - 1]) != key)

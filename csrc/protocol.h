@@ -173,6 +173,15 @@ CANSER_INLINE void store_le32(uint8_t *p, uint32_t value)
 #endif
 }
 
+/* How far a product of `bits` bits is shifted right to be a place in an open hash of `cap` places,
+ * a power of two: its upper bits depend on all bits of the key. */
+CANSER_INLINE unsigned place_shift(size_t cap, unsigned bits)
+{
+    for (; cap > 1; cap >>= 1)
+        bits--;
+    return bits;
+}
+
 /* Eight bytes as they lie in memory. */
 CANSER_INLINE uint64_t load_word(const uint8_t *p)
 {

@@ -324,15 +324,10 @@ typedef struct {
 
 CANSER_INLINE id_table table_of(const canser_database *self)
 {
-    id_table table = {self->ids, self->id_cap, self->spread, 32};
-
-    for (size_t cap = table.cap; cap > 1; cap >>= 1)
-        table.shift--;
-    return table;
+    return (id_table){self->ids, self->id_cap, self->spread, place_shift(self->id_cap, 32)};
 }
 
-/* Return where an id is looked for first: the upper bits of the product depend on all bits of the
- * key. */
+/* Return where an id is looked for first. */
 CANSER_INLINE size_t home_of(id_table table, uint32_t key)
 {
     return (uint32_t)(key * table.spread) >> table.shift;
