@@ -1,6 +1,8 @@
 """Parquet and Arrow IPC: there and back, as other programs see them, damage."""
 
 import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ from reference import NO_TIME, Frame
 from samples import EPOCH, FRAMES, SECOND, array, listed
 
 pa = pytest.importorskip("pyarrow")
+parquet = pytest.importorskip("pyarrow.parquet")
 
 every_format = pytest.mark.parametrize("suffix", [".parquet", ".arrow"])
 
@@ -44,9 +47,10 @@ def test_everything_there_and_back(
 def test_blocks_of_any_size_become_batches(
     suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(tables, "_PIECE", 250)
     monkeypatch.setattr(tables, "_BATCH", 1000)
     frames = canser.concat([vehicle(1)] * 6)
-    sizes = [1, 999, 500, 1500, 3000, 7]
+    sizes = [1, 999, 500, 250, 240, 1010, 3000, 7]
     ends = np.cumsum(sizes)
     out = np.empty(4000, canser.FRAME_DTYPE)
 
@@ -58,13 +62,19 @@ def test_blocks_of_any_size_become_batches(
 
     canser.write(blocks(), tmp_path / f"x{suffix}")  # type: ignore[arg-type]
     assert listed(canser.read(tmp_path / f"x{suffix}")) == listed(frames[: ends[-1]])
+    if suffix == ".parquet":
+        groups = parquet.ParquetFile(tmp_path / "x.parquet").metadata
+        sizes = [groups.row_group(index).num_rows for index in range(groups.num_row_groups)]
+        assert sum(sizes) == ends[-1]
+        assert max(sizes) == 1000
+        assert min(sizes[:-1]) > 1000 - 250
     with canser.blocks(tmp_path / f"x{suffix}", out=out[:77]) as read:
         assert [len(block) for block in read][:-1] == [77] * (int(ends[-1]) // 77)
 
 
 @every_format
 def test_pyarrow_sees_columns_with_their_types(suffix: str, tmp_path: Path) -> None:
-    from pyarrow import feather, parquet  # noqa: PLC0415
+    from pyarrow import feather  # noqa: PLC0415
 
     frames = [
         Frame(0x123, dlc=2, data=b"\1\2" + bytes(6), ts=EPOCH),
@@ -92,8 +102,6 @@ def test_no_frames(suffix: str, tmp_path: Path) -> None:
 
 
 def test_what_other_programs_wrote_is_read_if_it_has_the_columns(tmp_path: Path) -> None:
-    from pyarrow import parquet  # noqa: PLC0415
-
     columns = {
         "data": [b"\1\2\3\4\5\6\7\x08"] * 2,
         "ts": pa.array([EPOCH // 1000, None], pa.timestamp("us")),
@@ -155,3 +163,20 @@ def test_without_pyarrow_the_package_is_named(
         with pytest.raises(FormatError, match=r"not installed: pip install 'canser\[arrow\]'"):
             call()
     assert [path.name for path in tmp_path.iterdir()] == ["x.parquet"]
+
+
+def test_blocks_of_a_stream_are_not_taken_for_long_if_they_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    taken = []
+
+    def stream() -> Iterator[canser.FrameArray]:
+        for _ in range(1000):
+            taken.append(True)
+            yield vehicle(0.1)
+            time.sleep(0.01)
+
+    with pytest.raises(FormatError, match="not installed"):
+        canser.write(stream(), tmp_path / "x.parquet")
+    assert len(taken) < 1000

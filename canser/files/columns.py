@@ -1,17 +1,14 @@
-"""Frames as columns of Arrow, and back, by pyarrow."""
+"""Columns of Arrow as frames, by pyarrow."""
 
 from typing import Any
 
-from canser._core.text import Codes
-from canser._frames import FrameArray
 from canser.errors import FormatError
 from canser.files.tags import Tagged
 from canser.tables.arrow import arrow_columns
 from canser.tables.build import RowError, build_frames, missing_columns
 from canser.tables.names import NATIVE, names_in
-from canser.tables.table import make_table
 
-__all__ = ["from_batch", "load_pyarrow", "to_batch"]
+__all__ = ["from_batch", "load_pyarrow"]
 
 
 def load_pyarrow(name: str) -> Any:
@@ -23,13 +20,6 @@ def load_pyarrow(name: str) -> Any:
             f"{name} needs pyarrow, which is not installed: pip install 'canser[arrow]'"
         ) from None
     return pa
-
-
-def to_batch(
-    pa: Any, frames: FrameArray, channels: Codes | None, directions: Codes | None, *, dated: bool
-) -> Any:
-    """Return frames as a RecordBatch: `ts` is a timestamp in UTC if `dated`, else a duration."""
-    return pa.record_batch(make_table(frames, channels, directions, dated=dated))
 
 
 def from_batch(pa: Any, batch: Any, name: str, first: int) -> Tagged:

@@ -41,6 +41,7 @@ class Writer(BatchWriter):
     """Writes frames as row groups."""
 
     def _load(self) -> None:
+        super()._load()
         from pyarrow import parquet  # noqa: F401, PLC0415 - an optional extra
 
     def _open(self, schema: Any) -> Any:

@@ -2,28 +2,33 @@
 
 import io
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, BinaryIO, Final
+from functools import partial
+from typing import Any, BinaryIO, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from canser._core.text import NO_CHANNEL, Codes
 from canser._dates import is_dated
 from canser._frames import FRAME_DTYPE, FrameArray, put_records
 from canser._input import Input
+from canser._threads import Job
 from canser.errors import FormatError
-from canser.files.columns import from_batch, load_pyarrow, to_batch
+from canser.files.columns import from_batch, load_pyarrow
 from canser.files.reader import ReadOptions
 from canser.files.tagged import TaggedReader
 from canser.files.tags import RECEIVED, Tagged, joined
-
-if TYPE_CHECKING:
-    from concurrent.futures import Future
+from canser.tables.table import Table, make_table
 
 __all__ = ["BatchReader", "BatchWriter"]
 
-# Frames in a batch, and in a row group of Parquet: a reader skips whole groups by their least and
-# most values.
+# Frames in a table, a row group of Parquet: a reader skips whole groups by their least and most
+# values.
 _BATCH: Final = 1 << 20
+
+# Frames that become columns at a time, a batch of Arrow IPC: they are still in the processor's
+# cache.
+_PIECE: Final = 1 << 16
 
 
 class BatchReader(TaggedReader):
@@ -77,88 +82,110 @@ class BatchReader(TaggedReader):
 
 
 class BatchWriter:
-    """Writes frames as batches of `_BATCH` rows. A subclass defines `_open`.
+    """Writes frames as tables of up to `_BATCH` rows. A subclass defines `_open`.
 
-    pyarrow packs a batch in a thread of its own, and meanwhile the next one is made ready.
+    The frames become columns here, a piece at a time. A thread of its own imports pyarrow, and then
+    writes a table while the pieces of the next one are made.
     """
 
     takes_tags = True
 
     def __init__(self, file: BinaryIO, name: str) -> None:
-        from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - slow, seldom used
-
-        self._pa = load_pyarrow(name)
-        self._file = _Sink(file)
+        self._file, self._name = _Sink(file), name
+        self._pa: Any = None
         self._writer: Any = None
-        self._thread = ThreadPoolExecutor(1, "canser-batches")
-        # Of the batch before; at first, the import that takes long, while the first batch is made.
-        self._packing: Future[None] | None = self._thread.submit(self._load)
-        self._dated = False
-        self._held: list[Tagged] = []  # blocks of the next batch
+        self._dated: bool | None = None
+        self._held: list[Tagged] = []  # blocks of the next piece
         self._held_count = 0
         self._room: FrameArray = np.empty(0, FRAME_DTYPE)  # in which their frames lie
+        self._pieces: list[Table] = []  # of the next table
+        self._rows = 0
+        self._job = Job(self._load, f"writing {name}")
 
     def _load(self) -> None:
         """Import what `_open` needs."""
+        self._pa = load_pyarrow(self._name)
 
     def _open(self, schema: Any) -> Any:
-        """Begin the file; return what has `write_batch` and `close`."""
+        """Begin the file; return what has `write_table` and `close`."""
         raise NotImplementedError
 
     def write(
         self, frames: FrameArray, channels: Codes | None = None, directions: Codes | None = None
     ) -> None:
-        """Append frames."""
+        """Append frames. Raises the error that has ended the writing of frames before."""
+        self._job.check()
         block = Tagged(frames, channels, directions)
-        if self._held_count + len(frames) > _BATCH:
-            self._flush()
-        if len(frames) >= _BATCH:
-            self._write(block)
-            return
-        # The arrays may be filled again before the batch is written.
-        if not len(self._room):
-            self._room = np.empty(_BATCH, FRAME_DTYPE)
-        held = self._room[self._held_count :][: len(frames)]
-        put_records(held, frames)
-        self._held.append(Tagged(held, _copy(channels), _copy(directions)))
-        self._held_count += len(frames)
-        if self._held_count == _BATCH:
-            self._flush()
+        for begin in range(0, len(frames), _PIECE):
+            self._append(block.map(partial(_rows, begin)))
 
-    def _flush(self) -> None:
+    def _append(self, block: Tagged) -> None:
+        """Append up to `_PIECE` frames."""
+        count = len(block.frames)
+        if self._held_count + count > _PIECE:
+            self._flush_held()
+        if count == _PIECE:
+            self._add(block)
+            return
+        # The arrays may be filled again before the piece is made.
+        if not len(self._room):
+            self._room = np.empty(_PIECE, FRAME_DTYPE)
+        held = self._room[self._held_count :][:count]
+        put_records(held, block.frames)
+        self._held.append(Tagged(held, _copy(block.channels), _copy(block.directions)))
+        self._held_count += count
+
+    def _flush_held(self) -> None:
         if self._held_count:
-            self._write(joined(self._held, self._room[: self._held_count]))
+            self._add(joined(self._held, self._room[: self._held_count]))
         self._held, self._held_count = [], 0
 
-    def _write(self, block: Tagged) -> None:
-        if self._writer is None:
-            self._dated = is_dated(block.frames)
-        batch = to_batch(self._pa, *block, dated=self._dated)
-        if self._writer is None:
-            self._writer = self._open(batch.schema)
+    def _add(self, piece: Tagged) -> None:
+        """Add a piece, as columns, to the next table."""
+        if self._rows + len(piece.frames) > _BATCH:
+            self._flush()
+        if self._dated is None:
+            self._dated = is_dated(piece.frames)
+        self._pieces.append(make_table(*piece, dated=self._dated))
+        self._rows += len(piece.frames)
+
+    def _flush(self) -> None:
+        """Have the next table written."""
         self._wait()
-        self._packing = self._thread.submit(self._writer.write_batch, batch)
+        pieces, self._pieces, self._rows = self._pieces, [], 0
+        self._job = Job(partial(self._pack, pieces), f"writing {self._name}")
+
+    def _pack(self, pieces: list[Table]) -> None:
+        table = self._pa.Table.from_batches([self._pa.record_batch(each) for each in pieces])
+        if self._writer is None:
+            self._writer = self._open(table.schema)
+        self._writer.write_table(table)
 
     def _wait(self) -> None:
-        """Wait for the batch before; raise the error that has stopped it."""
-        packing, self._packing = self._packing, None
-        if packing is not None:
-            packing.result()
+        """Wait for the table before; raise the error that has ended its writing."""
+        self._job.wait()
+        self._job.check()
 
     def abandon(self) -> None:
         """Write nothing more: an error has ended the writing."""
         self._file.leave()  # pyarrow's writers complete the file when they are collected
-        self._thread.shutdown()
+        self._job.wait()
 
     def finish(self) -> list[str]:
         """Write the end; return no remarks: the file holds everything."""
-        self._flush()
-        if self._writer is None:
-            self._write(Tagged(np.empty(0, FRAME_DTYPE)))
+        self._flush_held()
+        if self._dated is None:  # a file without frames has columns, too
+            self._add(Tagged(np.empty(0, FRAME_DTYPE)))
+        if self._pieces:
+            self._flush()
         self._wait()
-        self._thread.shutdown()
         self._writer.close()
         return []
+
+
+def _rows(begin: int, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a piece of an array."""
+    return array[begin : begin + _PIECE]
 
 
 class _Sink(io.RawIOBase):
