@@ -416,3 +416,30 @@ def test_commands_take_every_format(name: str, tmp_path: Path) -> None:
         assert main([*call[:1], str(tmp_path / name), *call[1:]]) == 0
     call = ["play", str(tmp_path / name), "-c", "loop://", "-p", "serial", "--gap", "0"]
     assert main(call) == 0
+
+
+FAR = "9223372036.000000"  # seconds, nearly 64 bits of nanoseconds
+
+
+def test_relative_times_that_add_up_to_too_much_are_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "x.asc"
+    line = f" {FAR} 1  123             Rx   d 1 00\n"
+    path.write_text(f"date Thu Jan 01 00:00:00.000 2026\nbase hex timestamps relative\n{line * 2}")
+    with pytest.raises(FormatError, match="line 4: the relative times add up to over 64 bits"):
+        canser.read(path)
+
+
+def test_differences_that_add_up_to_too_much_are_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "x.log"
+    path.write_text(f"({FAR}) can0 123#00\n" * 2)
+    with pytest.raises(FormatError, match="add up to over 64 bits of nanoseconds; they are no dif"):
+        canser.read(path, times="delta")
+
+
+def test_a_gvret_table_without_its_header_is_an_error_also_if_lines_may_be_bad(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "x.gvret.csv"
+    path.write_text("# a comment\n5,00000123,false,Rx,0,2,1,2,\n")
+    with pytest.raises(FormatError, match="no column time stamp, id, extended"):
+        canser.read(path, format="gvret", skip_bad=True)

@@ -29,7 +29,7 @@ import numpy as np
 
 from canser._core.text import Codes, TextWriter
 from canser._dates import date_ns, first_date, local_date
-from canser._frames import FrameArray
+from canser._frames import NO_TIME, FrameArray
 from canser._input import Input
 from canser._rows import check_row
 from canser.files.foreign import is_text
@@ -180,6 +180,8 @@ class _AscReader(LineReader):
         state = self._c.state
         if state.is_relative:
             ts += state.last_ns
+            if not NO_TIME < ts < -NO_TIME:
+                raise ValueError("the relative times add up to over 64 bits of nanoseconds")
             state.last_ns = ts
         return ts
 

@@ -17,6 +17,7 @@ from canser._core.text import Codes, TextWriter
 from canser._frames import FrameArray
 from canser._input import Input
 from canser._rows import check_row
+from canser.errors import FormatError
 from canser.files.foreign import is_text
 from canser.files.lines import Line, LineReader
 from canser.files.reader import Reader, ReadOptions
@@ -140,8 +141,11 @@ class _TableReader(LineReader):
         self._places = {name.lower(): place for place, name in enumerate(fields)}
         wanted = ["time stamp", "id", "extended", "bus", "len", "d1"]
         missing = [name for name in wanted if name not in self._places]
-        if missing:
-            raise ValueError(f"no column {', '.join(missing)}; the first line must name them")
+        if missing:  # also with skip_bad: without a header no line can be read
+            raise FormatError(
+                f"{self._source.name}: no column {', '.join(missing)}; the first line must name "
+                "them"
+            )
         columns = _IN_C.get(tuple(fields))
         self._in_c = columns is not None
         if columns is not None:

@@ -85,6 +85,11 @@ class LineReader(TaggedReader):
         if self._options.times == "delta":
             ts = frames["ts"]
             known = ts != NO_TIME
+            if abs(self._sum_ns) + np.abs(ts[known].astype(np.float64)).sum() >= -NO_TIME:
+                raise FormatError(
+                    f"{self._source.name}: the times add up to over 64 bits of nanoseconds; they "
+                    "are no differences"
+                )
             times = np.cumsum(ts[known]) + self._sum_ns
             if len(times):
                 self._sum_ns = int(times[-1])

@@ -110,8 +110,12 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
     p = take_rest(p, line);
     if (!p || !put_frame(row->frame, ts, id, ext, rtr, 0, dlc, data))
         return NULL;
-    if (self->is_relative)
-        row->frame->ts = self->last_ns = (int64_t)((uint64_t)self->last_ns + (uint64_t)ts);
+    if (self->is_relative) {
+        const int64_t last = self->last_ns;
+        if (ts > 0 ? last > INT64_MAX - ts : last <= INT64_MIN - ts)
+            return NULL;
+        row->frame->ts = self->last_ns = last + ts;
+    }
     return p;
 }
 
