@@ -123,6 +123,19 @@ class Input:
             self._move(offset, 0, self._memory)
         return self.some(offset)
 
+    def read_at(self, offset: int, room: memoryview) -> int:
+        """Read bytes of a regular file into a room; return their number. For any thread.
+
+        Less than the room has only where the file ends.
+        """
+        filled = 0
+        while filled < len(room):
+            count = _read_at(self.file, room[filled:], self.start + offset + filled)
+            if not count:
+                break
+            filled += count
+        return filled
+
     def map_windows(self) -> None:
         """Map a regular file from now on, instead of reading it; so its bytes are not copied."""
         self._mapped = self.size is not None
@@ -192,12 +205,9 @@ class Input:
         room = memoryview(memory if len(memory) >= wanted else bytearray(wanted + AHEAD))
         filled = len(held)
         room[:filled] = held
-        while filled < wanted:
-            count = _read_at(self.file, room[filled:wanted], place + filled)
-            if not count:
-                self.check_size()
-                break
-            filled += count
+        filled += self.read_at(offset + filled, room[filled:wanted])
+        if filled < wanted:
+            self.check_size()
         self._base, self._view = offset, room[:filled].toreadonly()
         self._memory = cast(bytearray, room.obj)
 
