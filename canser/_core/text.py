@@ -1,7 +1,7 @@
 """Lines of text as frames, and frames as lines: C's work for each line, and its memory."""
 
 from collections.abc import Callable, Iterator
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -9,7 +9,7 @@ import numpy.typing as npt
 from canser._core._lib import ffi, lib
 from canser._core.buffers import Pointer, input_bytes, input_frames, raise_status
 from canser._core.table import text
-from canser._frames import FrameArray
+from canser._frames import NO_TIME, FrameArray
 
 __all__ = [
     "NO_CHANNEL",
@@ -73,6 +73,32 @@ class TextReader(_Text):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self._rows = ffi.new("canser_rows *")
+
+    def copy(self) -> "TextReader":
+        """Return a reader that reads lines in the same way, and has no arrays."""
+        made = TextReader(text(self.state.format.name))
+        made.state[0] = self.state[0]
+        return made
+
+    def begin_as(self, other: "TextReader") -> None:
+        """Read lines in the same way as another reader; count them from none on."""
+        state = self.state
+        state[0] = other.state[0]
+        state.steps_back, state.fd_count, state.before_ns = 0, 0, NO_TIME
+
+    def join(self, other: "TextReader", frames: FrameArray) -> None:
+        """Add the counts of a reader that began by `begin_as`, and has read the next frames."""
+        state, more = self.state, other.state
+        state.fd_count += more.fd_count
+        if len(frames):
+            state.steps_back += more.steps_back + (int(frames["ts"][0]) < state.before_ns)
+            state.before_ns = more.before_ns
+
+    @property
+    def setup(self) -> tuple[Any, ...]:
+        """What tells how lines are read, but for the names of channels, of which more may come."""
+        state = self.state
+        return state.name_count, ffi.string(state.columns), state.is_decimal, state.is_relative
 
     def use(self, frames: FrameArray, channels: Codes, directions: Codes) -> None:
         """Read into arrays of one length from now on."""

@@ -1,15 +1,17 @@
 """The base of readers of text: usual lines are read in C, and any other one by one in Python."""
 
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from canser._core.text import Taken, TextReader
-from canser._frames import NO_TIME, FrameArray
+from canser._frames import NO_TIME, FrameArray, put_records
 from canser._input import Input
 from canser._rows import Row
+from canser.codec.parallel import count_cores
 from canser.errors import FormatError
+from canser.files.ahead import STRETCH, Ahead, Stretch
 from canser.files.reader import ReadOptions
 from canser.files.tagged import TaggedReader
 
@@ -26,6 +28,15 @@ _STEPS_BACK_SHARE: Final = 0.01
 _STEPS_BACK_LEAST: Final = 10
 
 _NOTHING: Final = Taken(0, 0, 0)
+
+# Threads that read ahead, at most: one thread joins what they read.
+_THREADS_MOST: Final = 4
+
+# Bytes that are read before threads may begin, with the header and a few frames.
+_FIRST: Final = 1 << 14
+
+# Bytes from which on threads are of use.
+_AHEAD_LEAST: Final = 8 * STRETCH
 
 
 def _find_end(data: memoryview, begin: int) -> int:
@@ -68,6 +79,12 @@ class LineReader(TaggedReader):
         self._c.state.before_ns = NO_TIME
         self._sum_ns = 0  # of the differences so far, with times="delta"
         self.bytes_done = 0
+        self._is_ended = False
+        threads = count_cores() if options.threads is None else options.threads
+        self._threads = min(threads, _THREADS_MOST)
+        # How threads read ahead, and from which offset on they may begin.
+        self._ahead_setup: tuple[Any, ...] = ()
+        self._ahead_from = 0
 
     def _new_rows(self) -> None:
         super()._new_rows()
@@ -96,36 +113,101 @@ class LineReader(TaggedReader):
                 ts[known] = times
 
     def _fill(self) -> Iterator[None]:
-        source = self._source
-        while True:
-            data = source.ahead(self._offset)
-            if not data:
-                break
-            taken = self._c.read(data, self._count) if self._in_c else _NOTHING
-            self._advance(taken.used)
-            self._count += taken.frames
-            self._number += taken.lines
-            if self._count == len(self._frames):
-                yield
-                continue
-            left = len(data) - taken.used
-            end = _find_end(data, taken.used)
-            if end:
-                self._take_line(bytes(data[taken.used : end]))
-                if self._count == len(self._frames):
-                    yield
-            elif left >= _LINE_MOST:
-                if not self._take_nuls(data[taken.used :]):
-                    raise self._endless()
-            else:  # the next line is not whole
-                if source.size is None:
-                    yield  # a pipe is waited for: frames go on before
-                if len(source.ahead(self._offset)) > left:
-                    continue  # in the same memory: `data` is no longer looked at
-                if len(source.at(self._offset, left + 1)) == left:
-                    self._take_last(bytes(data[taken.used :]))
+        with Ahead(self._source, self.format, self._threads) as ahead:
+            stop = 0  # of the stretch in which a line is unusual: the rest of it is read here
+            while True:
+                stretch = self._stretch(ahead) if self._offset >= stop else None
+                if stretch is not None:
+                    stop = stretch.stop
+                    yield from self._join(stretch)
+                    ahead.give_back(stretch)
+                    continue
+                data = self._source.ahead(self._offset)
+                if not data:
+                    break
+                if stop > self._offset:
+                    data = data[: stop - self._offset]
+                elif self._threads > 1 and not self._has_frames:
+                    data = data[: _find_end(data, _FIRST) or None]
+                yield from self._read(data)
+                if self._is_ended:
                     break
         yield
+
+    def _read(self, data: memoryview) -> Iterator[None]:
+        """Read usual lines, and one that is not."""
+        source = self._source
+        taken = self._c.read(data, self._count) if self._in_c else _NOTHING
+        self._advance(taken.used)
+        self._count += taken.frames
+        self._number += taken.lines
+        if self._count == len(self._frames):
+            yield
+            return
+        left = len(data) - taken.used
+        end = _find_end(data, taken.used)
+        if end:
+            self._take_line(bytes(data[taken.used : end]))
+            if self._count == len(self._frames):
+                yield
+        elif left >= _LINE_MOST:
+            if not self._take_nuls(data[taken.used :]):
+                raise self._endless()
+        else:  # the next line is not whole
+            if source.size is None:
+                yield  # a pipe is waited for: frames go on before
+            # More bytes may come to the same memory: `data` is no longer looked at.
+            if (
+                len(source.ahead(self._offset)) <= left
+                and len(source.at(self._offset, left + 1)) == left
+            ):
+                self._take_last(bytes(source.at(self._offset, left)))
+                self._is_ended = True
+
+    @property
+    def _has_frames(self) -> bool:
+        return bool(self._count or self._frames_seen)
+
+    def _stretch(self, ahead: Ahead) -> Stretch | None:
+        """Return the next lines if threads have read them; let threads begin if that is of use."""
+        source = self._source
+        total = source.total
+        in_order = not self._in_c or self._c.state.is_relative
+        if self._threads == 1 or total is None or in_order or not self._has_frames:
+            ahead.end()
+            return None
+        setup = self._c.setup
+        if ahead.is_reading and setup == self._ahead_setup:
+            source.check_size()
+            stretch = ahead.take(self._offset)
+            if stretch is None:  # a line is too long, or the last one is not whole
+                self._ahead_from = self._offset + STRETCH
+            return stretch
+        if self._offset >= self._ahead_from and total - self._offset >= _AHEAD_LEAST:
+            self._ahead_setup = setup
+            ahead.begin(self._offset, self._c)
+            return ahead.take(self._offset)
+        ahead.end()
+        return None
+
+    def _join(self, stretch: Stretch) -> Iterator[None]:
+        """Take over the frames that a thread has read."""
+        taken = stretch.taken
+        assert taken is not None
+        done = 0
+        while done < taken.frames:
+            count = min(len(self._frames) - self._count, taken.frames - done)
+            to, part = slice(self._count, self._count + count), slice(done, done + count)
+            put_records(self._frames[to], stretch.frames[part])
+            self._channels[to] = stretch.channels[part]
+            self._directions[to] = stretch.directions[part]
+            self._count += count
+            done += count
+            if self._count == len(self._frames):
+                yield
+        self._c.join(stretch.text, stretch.frames[: taken.frames])
+        self._advance(taken.used)
+        self._number += taken.lines
 
     def _advance(self, count: int) -> None:
         self._offset += count

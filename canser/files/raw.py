@@ -65,7 +65,7 @@ class RawReader(Reader):
 
     def __init__(self, source: Input, options: ReadOptions) -> None:
         source.map_windows()
-        self._source, self._threads = source, options.threads
+        self._source, self._threads = source, options.threads or 1
         self._out, self._offsets = options.out, options.offsets
         name, self.found = choose_protocol(options.protocol, source)
         unit = "ms" if options.ts_unit is None else options.ts_unit

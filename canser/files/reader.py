@@ -29,7 +29,8 @@ class ReadOptions:
     ts_unit: str | None = None
     out: FrameArray | None = None
     offsets: Offsets | None = None
-    threads: int = 1
+    #: None for 1 of raw bytes, and as many as are of use of a log of text.
+    threads: int | None = None
     as_is: bool = False
     #: Channel to read from a log of several buses, such as "can0"; None for all.
     bus: str | None = None

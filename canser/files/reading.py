@@ -112,7 +112,7 @@ def blocks(
     ts_unit: str | None = None,
     out: FrameArray | None = None,
     offsets: Offsets | None = None,
-    threads: int = 1,
+    threads: int | None = None,
     progress: Progress | None = None,
     bus: str | None = None,
     channels: Codes | None = None,
@@ -149,9 +149,10 @@ def blocks(
         For raw bytes and recordings, together with `out`: filled with the stream offsets of the
         frames, in bytes. Those of a block are `offsets[:count]`.
     threads : int, optional
-        Number of threads that may decode a regular file of raw bytes, as for `decode`; 1 by
-        default. The frames are the same for any number. Without `out` the blocks have other
-        lengths.
+        Number of threads that may read a regular file of raw bytes, as for `decode`, or a log of
+        text. By default 1 for raw bytes, and up to 4 for a log of text of over 4 MiB, one for each
+        core. The frames are the same for any number. Of raw bytes, without `out`, the blocks have
+        other lengths.
     progress : callable, optional
         Called after each block as `progress(bytes_done, bytes_total)`. `bytes_total` is None if
         it is not known.
@@ -267,7 +268,9 @@ def checked_options(file_format: str | None, **given: Any) -> ReadOptions:
     check_protocol(options.protocol, options.ts_unit)
     if file_format is not None:
         find_format(file_format)
-    return dataclasses.replace(options, threads=check_threads(options.threads))
+    if options.threads is not None:
+        options = dataclasses.replace(options, threads=check_threads(options.threads))
+    return options
 
 
 def _check_codes(options: ReadOptions, least: int) -> None:
@@ -793,7 +796,7 @@ def read(
     format: str | None = None,  # noqa: A002 - as users call it
     ts_unit: str | None = None,
     offsets: Offsets | None = None,
-    threads: int = 1,
+    threads: int | None = None,
     bus: str | None = None,
     channels: Codes | None = None,
     directions: Codes | None = None,
@@ -820,7 +823,8 @@ def read(
         For one file of raw bytes or one recording: filled with the stream offsets of the frames,
         in bytes. It needs room for all frames.
     threads : int, optional
-        Number of threads that may decode a regular file of raw bytes; 1 by default.
+        Number of threads that may read a regular file of raw bytes or a log of text, as for
+        `blocks`.
     bus : str, optional
         Channel to read from a log of several buses, such as "can0"; all channels by default.
     channels, directions : array of uint8, shape (n,), optional
