@@ -3,7 +3,7 @@
 Rows of `table.py`. In memory: a buffer of text to an array, and back, over python-can's readers and
 writers with the same buffer and messages; for GVRET over a loop of Python's csv module, as
 python-can has none. File to file: reading by `blocks`, and writing, over a copy of the file by
-read() and write().
+read() and write(). Files are written where none is, and then in the place of one that is there.
 """
 
 import csv
@@ -175,11 +175,19 @@ def in_memory(name: str, rounds: int) -> Iterator[LogRow]:
     yield LogRow(f"write {name}, over python-can", "", ratio, required_write, note)
 
 
+def remove(*paths: Path) -> None:
+    """Remove the files that are there."""
+    for path in paths:
+        path.unlink(missing_ok=True)
+
+
 def file_to_file(name: str, count: int, folder: Path, rounds: int) -> Iterator[LogRow]:
     """Compare with a copy of the file's bytes by read() and write()."""
     frames = traffic(count)
-    path, copied = folder / f"run{find_format(name).suffixes[0]}", folder / "copy"
+    suffix = find_format(name).suffixes[0]
+    path, made, copied = folder / f"run{suffix}", folder / f"made{suffix}", folder / "copy"
     canser.write(frames, path, force=True)
+    size = path.stat().st_size
     out = frames[: 1 << 16].copy()
 
     def copy() -> None:
@@ -190,14 +198,21 @@ def file_to_file(name: str, count: int, folder: Path, rounds: int) -> Iterator[L
     def read() -> int:
         return sum(map(len, canser.blocks(path, out=out)))
 
+    def write() -> None:
+        canser.write(frames, made, force=True)
+
+    def before() -> None:
+        remove(made, copied)
+
+    def row(what: str, required: float | None, copy_s: float, our_s: float, ratio: float) -> LogRow:
+        note = f"{size / our_s / 1e9:.2f} GB/s, copy {size / copy_s / 1e9:.2f}"
+        return LogRow(f"{what} {name}, over a copy", "", ratio, required, note)
+
     assert read() == count
-    copy_s, our_s, ratio = paired(copy, read, rounds)
-    size = path.stat().st_size
-    note = f"{size / our_s / 1e9:.2f} GB/s, copy {size / copy_s / 1e9:.2f}"
-    yield LogRow(f"blocks of {name}, over a copy", "", ratio, 0.5, note)
-    copy_s, our_s, ratio = paired(copy, lambda: canser.write(frames, path, force=True), rounds)
-    note = f"{size / our_s / 1e9:.2f} GB/s, copy {size / copy_s / 1e9:.2f}"
-    yield LogRow(f"write to {name}, over a copy", "", ratio, 0.5, note)
+    yield row("blocks of", 0.5, *paired(copy, read, rounds, before))
+    yield row("write to", 0.5, *paired(copy, write, rounds, before))
+    if name == "candump":
+        yield row("replace", None, *paired(copy, write, rounds))
 
 
 def packing_alone(count: int, folder: Path, rounds: int) -> Iterator[LogRow]:
@@ -269,10 +284,13 @@ def mf4(folder: Path, rounds: int) -> Iterator[LogRow]:
             made.append(signal, acq_name="CAN", acq_source=source)
             made.save(other, overwrite=True, compression=2)
 
-    peer_s, our_s, ratio = paired(by_python_can, ours, rounds)
+    def before() -> None:
+        remove(path, other)
+
+    peer_s, our_s, ratio = paired(by_python_can, ours, rounds, before)
     note = f"{count / our_s / 1e6:.1f} M frames/s, python-can {fewer / peer_s / 1e3:.0f} k"
     yield LogRow("write mf4, over python-can", "", ratio * count / fewer, 100, note)
-    peer_s, our_s, ratio = paired(by_asammdf, ours, rounds)
+    peer_s, our_s, ratio = paired(by_asammdf, ours, rounds, before)
     note = f"{count / our_s / 1e6:.1f} M frames/s, asammdf {count / peer_s / 1e6:.1f}"
     yield LogRow("write mf4, over asammdf alone", "", ratio, 0.9, note)
 
@@ -307,7 +325,9 @@ def to_parquet(folder: Path, count: int, rounds: int) -> Iterator[LogRow]:
             [sys.executable, *arguments], check=True, capture_output=True, env=environment
         )
 
-    peer_s, our_s, ratio = paired(lambda: run("-c", code), lambda: run(*command), rounds)
+    peer_s, our_s, ratio = paired(
+        lambda: run("-c", code), lambda: run(*command), rounds, lambda: remove(made, target)
+    )
     assert (canser.read(target) == canser.read(made)).all()
     # What both take before the first frame.
     few, tiny = folder / "few.bin", folder / "few.parquet"

@@ -40,11 +40,22 @@ def seconds(work: Work) -> float:
     return time.perf_counter() - start
 
 
-def paired(first: Work, second: Work, rounds: int) -> tuple[float, float, float]:
-    """Time two calls in turn; return the median time of each, and of the ratio first/second."""
-    first()
-    second()  # both are warm now
-    times = [(seconds(first), seconds(second)) for _ in range(rounds)]
+def paired(
+    first: Work, second: Work, rounds: int, before: Work | None = None
+) -> tuple[float, float, float]:
+    """Time two calls in turn; return the median time of each, and of the ratio first/second.
+
+    `before` is called before each call, and not timed.
+    """
+
+    def timed(work: Work) -> float:
+        if before is not None:
+            before()
+        return seconds(work)
+
+    timed(first)
+    timed(second)  # both are warm now
+    times = [(timed(first), timed(second)) for _ in range(rounds)]
     return (
         median(a for a, _ in times),
         median(b for _, b in times),
