@@ -1,6 +1,7 @@
 """Lines of text as frames, and frames as lines: C's work for each line, and its memory."""
 
 from collections.abc import Callable, Iterator
+from itertools import cycle
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -123,7 +124,7 @@ class TextReader(_Text):
 
 
 class FrameWriter:
-    """Writes frames by a function of C into one room, part by part.
+    """Writes frames by a function of C into two rooms in turn, part by part.
 
     `function` has the parameters and the results of canser_text_write. `frame_most` are bytes that
     are always enough for a frame.
@@ -131,15 +132,15 @@ class FrameWriter:
 
     def __init__(self, function: Callable[..., int], state: Pointer, frame_most: int) -> None:
         self._function, self._state = function, state
-        self._out = memoryview(np.empty(_WRITTEN_AT_ONCE * frame_most, np.uint8).data)
-        self._room = ffi.from_buffer("uint8_t[]", self._out, require_writable=True)
+        rooms = np.empty((2, _WRITTEN_AT_ONCE * frame_most), np.uint8)
+        self._rooms = cycle([memoryview(each.data) for each in rooms])
         self._result = ffi.new("canser_encoded *")
         self._before = 0  # frames of all calls before
 
     def parts(
         self, frames: FrameArray, channels: Codes | None, directions: Codes | None
     ) -> Iterator[memoryview]:
-        """Yield the bytes of frames in parts, each good until the next one.
+        """Yield the bytes of frames in parts, each good until the second one behind it.
 
         ValueError names the first frame that is none of classic CAN.
         """
@@ -150,13 +151,12 @@ class FrameWriter:
         ]
         while done < len(frames):
             at = [each + done if each else each for each in codes]
-            left = len(frames) - done
-            status = self._function(
-                self._state, source + done, *at, left, self._room, len(self._out), result
-            )
+            left, out = len(frames) - done, next(self._rooms)
+            room = ffi.from_buffer("uint8_t[]", out, require_writable=True)
+            status = self._function(self._state, source + done, *at, left, room, len(out), result)
             if status and status != lib.CANSER_REFUSED:
                 raise_status(status)
-            yield self._out[: result.byte_count]
+            yield out[: result.byte_count]
             done += result.frame_count
             if status:
                 why = text(lib.canser_refusal_text(result.refusal))

@@ -32,6 +32,7 @@ from canser._dates import date_ns, first_date, local_date
 from canser._frames import NO_TIME, FrameArray
 from canser._input import Input
 from canser._rows import check_row
+from canser.files.behind import Behind
 from canser.files.foreign import is_text
 from canser.files.lines import Line, LineReader
 from canser.files.reader import Reader, ReadOptions
@@ -107,7 +108,7 @@ class Writer:
     takes_tags = True
 
     def __init__(self, file: BinaryIO, tz: dt.tzinfo | None = None) -> None:
-        self._file, self._tz = file, tz
+        self._file, self._tz = Behind(file), tz
         self._lines = TextWriter("asc")
         self._begun = False
 
@@ -131,11 +132,16 @@ class Writer:
             f"Begin Triggerblock {text}\n   0.000000 Start of measurement\n".encode()
         )
 
+    def abandon(self) -> None:
+        """Write nothing more: an error has ended the writing."""
+        self._file.abandon()
+
     def finish(self) -> list[str]:
         """Write the end; return what the log could not hold."""
         if not self._begun:
             self._begin(np.empty(0, [("ts", np.int64)]))
         self._file.write(b"End TriggerBlock\n")
+        self._file.finish()
         state = self._lines.state
         remarks = {
             "error frames without their id, data and direction": state.error_frames,

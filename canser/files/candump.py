@@ -36,6 +36,7 @@ from canser._dates import to_ns
 from canser._frames import NO_TIME, FrameArray, copy_records
 from canser._input import Input
 from canser._rows import check_row
+from canser.files.behind import Behind
 from canser.files.foreign import is_text
 from canser.files.lines import Line, LineReader
 from canser.files.reader import Reader, ReadOptions
@@ -185,7 +186,7 @@ class Writer:
     takes_tags = True
 
     def __init__(self, file: BinaryIO, names: Mapping[int, str] | None = None) -> None:
-        self._file, self._lines = file, _Lines(names)
+        self._file, self._lines = Behind(file), _Lines(names)
 
     def write(
         self, frames: FrameArray, channels: Codes | None = None, directions: Codes | None = None
@@ -205,8 +206,13 @@ class Writer:
         """Frames whose time is not known, written as 0."""
         return int(self._lines.state.unknown_times)
 
+    def abandon(self) -> None:
+        """Write nothing more: an error has ended the writing."""
+        self._file.abandon()
+
     def finish(self) -> list[str]:
-        """Return what a log could not hold."""
+        """Write the rest; return what a log could not hold."""
+        self._file.finish()
         remarks = {
             "frames without a time, written as 0": self.ts_unknown,
             "times cut to the microsecond": self.ts_cut,

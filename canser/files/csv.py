@@ -24,6 +24,7 @@ from canser._frames import FrameArray
 from canser._input import Input
 from canser._rows import Row, check_row
 from canser.errors import FormatError
+from canser.files.behind import Behind
 from canser.files.foreign import is_text
 from canser.files.lines import BLANKS, Line, LineReader
 from canser.files.reader import Reader, ReadOptions
@@ -72,7 +73,7 @@ class Writer:
     """Write frames as rows under a header."""
 
     def __init__(self, file: BinaryIO) -> None:
-        self._file = file
+        self._file = Behind(file)
         self._lines = TextWriter("csv")
         self._file.write(",".join(COLUMNS).encode() + b"\n")
 
@@ -81,8 +82,13 @@ class Writer:
         for part in self._lines.lines(frames, None, None):
             self._file.write(part)
 
+    def abandon(self) -> None:
+        """Write nothing more: an error has ended the writing."""
+        self._file.abandon()
+
     def finish(self) -> list[str]:
-        """Return no remarks: the file holds everything."""
+        """Write the rest; return no remarks: the file holds everything."""
+        self._file.finish()
         return []
 
 

@@ -18,6 +18,7 @@ from canser._frames import FrameArray
 from canser._input import Input
 from canser._rows import check_row
 from canser.errors import FormatError
+from canser.files.behind import Behind
 from canser.files.foreign import is_text
 from canser.files.lines import Line, LineReader
 from canser.files.reader import Reader, ReadOptions
@@ -71,7 +72,7 @@ class Writer:
     takes_tags = True
 
     def __init__(self, file: BinaryIO) -> None:
-        self._file = file
+        self._file = Behind(file)
         self._lines = TextWriter("gvret")
         self._remote = self._error = 0  # frames left out
         self._file.write(_HEADER)
@@ -90,8 +91,13 @@ class Writer:
         for part in self._lines.lines(frames, channels, directions):
             self._file.write(part)
 
+    def abandon(self) -> None:
+        """Write nothing more: an error has ended the writing."""
+        self._file.abandon()
+
     def finish(self) -> list[str]:
-        """Return what the table could not hold."""
+        """Write the rest; return what the table could not hold."""
+        self._file.finish()
         remarks = {
             "remote frames, left out": self._remote,
             "error frames, left out": self._error,

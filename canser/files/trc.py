@@ -27,6 +27,7 @@ from canser._dates import date_ns, first_date, local_date
 from canser._frames import FrameArray
 from canser._input import Input
 from canser._rows import check_row
+from canser.files.behind import Behind
 from canser.files.foreign import is_text
 from canser.files.lines import Line, LineReader
 from canser.files.reader import Reader, ReadOptions
@@ -88,7 +89,7 @@ class Writer:
     takes_tags = True
 
     def __init__(self, file: BinaryIO, tz: dt.tzinfo | None = None) -> None:
-        self._file, self._tz = file, tz
+        self._file, self._tz = Behind(file), tz
         self._lines = TextWriter("trc")
         self._begun = False
 
@@ -118,10 +119,15 @@ class Writer:
             ";---+-- ------+------ +- +- --+----- +- +- +--- +- -- -- -- -- -- -- --\n".encode()
         )
 
+    def abandon(self) -> None:
+        """Write nothing more: an error has ended the writing."""
+        self._file.abandon()
+
     def finish(self) -> list[str]:
-        """Return what the trace could not hold."""
+        """Write the rest; return what the trace could not hold."""
         if not self._begun:
             self._begin(np.empty(0, [("ts", np.int64)]))
+        self._file.finish()
         state = self._lines.state
         remarks = {
             "error frames without their id and data": state.error_frames,
