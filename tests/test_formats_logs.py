@@ -2,6 +2,7 @@
 
 import datetime as dt
 import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -443,3 +444,19 @@ def test_a_gvret_table_without_its_header_is_an_error_also_if_lines_may_be_bad(
     path.write_text("# a comment\n5,00000123,false,Rx,0,2,1,2,\n")
     with pytest.raises(FormatError, match="no column time stamp, id, extended"):
         canser.read(path, format="gvret", skip_bad=True)
+
+
+@pytest.mark.parametrize(
+    ("base", "rest", "why"),
+    [
+        ("dec", "7C", "line 3: '7C' is no decimal number, as the line 'base' wants it"),
+        ("hex", "1_2", "line 3: '1_2' is no hexadecimal number, as the line 'base' wants it"),
+        ("dec", "256", "line 3: '256' is no byte: it is over 255"),
+    ],
+)
+def test_numbers_of_another_base_are_named(base: str, rest: str, why: str, tmp_path: Path) -> None:
+    path = tmp_path / "x.asc"
+    head = f"date Thu Jan 01 00:00:00.000 2026\nbase {base} timestamps absolute\n"
+    path.write_text(f"{head} 0.5 1  123             Rx   d 1 {rest}\n")
+    with pytest.raises(FormatError, match=re.escape(why)):
+        canser.read(path)

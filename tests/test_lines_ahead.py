@@ -33,8 +33,9 @@ ODD_OF = {
     ".csv": ["0.5,0x1,0,0,0,12,AA==", "nan,0x123,0,0,0,1,AQ==", "0.25,0x9,0,0,0,1,AQ==\r"],
     ".gvret.csv": ["5,00000123,false,Rx,0,2,1,2,", "5,00000123,false,Rx,0,12,1,2,"],
     ".asc": [
-        "0.5 1 ErrorFrame", "0.5 Start of measurement", "base dec timestamps relative",
-        "base hex timestamps absolute", "0.001 CANFD 1 Rx 123 0 0 8 8 01 02 03 04 05 06 07 08",
+        "base hex timestamps absolute", "0.5 1 ErrorFrame", "base hex timestamps relative",
+        "base dec timestamps absolute", "base hex timestamps absolute",
+        "0.001 CANFD 1 Rx 123 0 0 8 8 01 02 03 04 05 06 07 08",
     ],
     ".trc": ["; a comment", "      1      0.5 FD 1 0123 Rx - 12 01", ";$COLUMNS=N,O,T,I,d,L,D"],
 }  # fmt: skip
@@ -47,6 +48,7 @@ def _small(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "STRETCH", 100)
     monkeypatch.setattr(lines, "_AHEAD_LEAST", 1)
     monkeypatch.setattr(lines, "_FIRST", 100)
+    monkeypatch.setattr(lines, "_REST", 0)
     monkeypatch.setattr(parallel, "count_cores", lambda: 8)
 
 
@@ -58,18 +60,16 @@ def outcome(path: Path, threads: int, **options: Any) -> tuple[Any, ...]:
     seen: list[Frame] = []
     tags: list[int] = []
     out = np.empty(77, canser.FRAME_DTYPE)
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
-        blocks = canser.blocks(path, out=out, threads=threads, **options)
-        try:
-            for block in blocks:
-                seen += listed(block)
-                assert blocks.channels is not None
-                assert blocks.directions is not None
-                tags += [*blocks.channels, *blocks.directions]
-        except FormatError as error:
-            return seen, tags, str(error)
-    return seen, tags, blocks.channel_names, blocks.start_ns, [str(each.message) for each in said]
+    blocks = canser.blocks(path, out=out, threads=threads, **options)
+    try:
+        for block in blocks:
+            seen += listed(block)
+            assert blocks.channels is not None
+            assert blocks.directions is not None
+            tags += [*blocks.channels, *blocks.directions]
+    except FormatError as error:
+        return seen, tags, str(error)
+    return seen, tags, blocks.channel_names, blocks.start_ns, blocks.notes.all_lines
 
 
 @small

@@ -248,10 +248,26 @@ class _AscReader(LineReader):
             if len(tokens) > 8:
                 self._c.state.fd_count += 1
                 return None
-            data = bytes(int(token, self._base) for token in tokens)
+            data = bytes(map(self._byte, tokens))
             dlc = min(int(size, 16 if len(size) == 1 else 10), 8)
-        row = (int(digits, self._base), bool(x), rtr, dlc, False, data, ts)
+        row = (self._whole(digits), bool(x), rtr, dlc, False, data, ts)
         return Line(check_row(row), channel, direction)
+
+    def _whole(self, text: str) -> int:
+        """Return a number in the base of the log."""
+        try:
+            if text.isalnum():  # int() takes signs and underscores, too
+                return int(text, self._base)
+        except ValueError:
+            pass
+        kind = "decimal" if self._base == 10 else "hexadecimal"
+        raise ValueError(f"{text[:60]!r} is no {kind} number, as the line 'base' wants it")
+
+    def _byte(self, text: str) -> int:
+        number = self._whole(text)
+        if number > 0xFF:
+            raise ValueError(f"{text[:60]!r} is no byte: it is over 255")
+        return number
 
     def _error(self, found: re.Match[str]) -> Line:
         time, channel = found.groups()

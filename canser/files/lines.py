@@ -35,6 +35,9 @@ _THREADS_MOST: Final = 4
 # Bytes that are read before threads may begin, with the header and a few frames.
 _FIRST: Final = 1 << 14
 
+# Bytes until threads may begin for the second time; twice as many for the third time, and so on.
+_REST: Final = 1 << 14
+
 # Bytes from which on threads are of use.
 _AHEAD_LEAST: Final = 8 * STRETCH
 
@@ -85,6 +88,7 @@ class LineReader(TaggedReader):
         # How threads read ahead, and from which offset on they may begin.
         self._ahead_setup: tuple[Any, ...] = ()
         self._ahead_from = 0
+        self._ahead_rest = _REST  # bytes until they may begin again
 
     def _new_rows(self) -> None:
         super()._new_rows()
@@ -185,6 +189,11 @@ class LineReader(TaggedReader):
             return stretch
         if self._offset >= self._ahead_from and total - self._offset >= _AHEAD_LEAST:
             self._ahead_setup = setup
+            # What was read ahead is of no use where the setup changes again and again.
+            self._ahead_from, self._ahead_rest = (
+                self._offset + self._ahead_rest,
+                2 * self._ahead_rest,
+            )
             ahead.begin(self._offset, self._c)
             return ahead.take(self._offset)
         ahead.end()

@@ -12,7 +12,7 @@ from canser._core.text import NO_CHANNEL, Codes
 from canser._dates import is_dated
 from canser._frames import FRAME_DTYPE, FrameArray, put_records
 from canser._input import Input
-from canser._threads import Job
+from canser._threads import Helpers
 from canser.errors import FormatError
 from canser.files.columns import from_batch, load_pyarrow
 from canser.files.reader import ReadOptions
@@ -100,7 +100,8 @@ class BatchWriter:
         self._room: FrameArray = np.empty(0, FRAME_DTYPE)  # in which their frames lie
         self._pieces: list[Table] = []  # of the next table
         self._rows = 0
-        self._job = Job(self._load, f"writing {name}")
+        self._helpers: Helpers[None] = Helpers(2, "tables")
+        self._helpers.put(self._load)
 
     def _load(self) -> None:
         """Import what `_open` needs."""
@@ -114,7 +115,7 @@ class BatchWriter:
         self, frames: FrameArray, channels: Codes | None = None, directions: Codes | None = None
     ) -> None:
         """Append frames. Raises the error that has ended the writing of frames before."""
-        self._job.check()
+        self._helpers.check()
         block = Tagged(frames, channels, directions)
         for begin in range(0, len(frames), _PIECE):
             self._append(block.map(partial(_rows, begin)))
@@ -153,7 +154,7 @@ class BatchWriter:
         """Have the next table written."""
         self._wait()
         pieces, self._pieces, self._rows = self._pieces, [], 0
-        self._job = Job(partial(self._pack, pieces), f"writing {self._name}")
+        self._helpers.put(partial(self._pack, pieces))
 
     def _pack(self, pieces: list[Table]) -> None:
         table = self._pa.Table.from_batches([self._pa.record_batch(each) for each in pieces])
@@ -163,13 +164,13 @@ class BatchWriter:
 
     def _wait(self) -> None:
         """Wait for the table before; raise the error that has ended its writing."""
-        self._job.wait()
-        self._job.check()
+        if self._helpers:
+            self._helpers.take()
 
     def abandon(self) -> None:
         """Write nothing more: an error has ended the writing."""
         self._file.leave()  # pyarrow's writers complete the file when they are collected
-        self._job.wait()
+        self._helpers.close()
 
     def finish(self) -> list[str]:
         """Write the end; return no remarks: the file holds everything."""
@@ -179,6 +180,7 @@ class BatchWriter:
         if self._pieces:
             self._flush()
         self._wait()
+        self._helpers.close()
         self._writer.close()
         return []
 
