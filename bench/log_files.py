@@ -22,7 +22,7 @@ import numpy as np
 import canser
 import data
 from canser._frames import FrameArray
-from canser.files.blf import _packing
+from canser.files.containers import packing
 from canser.files.formats import find_format
 from canser.files.writer import WriteOptions
 from measure import paired
@@ -219,7 +219,7 @@ def packing_alone(count: int, folder: Path, rounds: int) -> Iterator[LogRow]:
     """Compare inflating and deflating the containers of a BLF file, and no more, with a copy."""
     path, copied = folder / "run.blf", folder / "copy"
     canser.write(traffic(count), path, force=True)
-    raw, module = path.read_bytes(), _packing()
+    raw, module = path.read_bytes(), packing()
     packed = []
     (at,) = struct.unpack_from("<I", raw, 4)
     while at < len(raw):

@@ -1,16 +1,38 @@
 """Threads: started with an error that names their purpose, and those that help with jobs."""
 
+import os
 import sys
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
 from canser.errors import CanserError
 
-__all__ = ["Helpers", "start_thread"]
+__all__ = ["Helpers", "count_cores", "start_thread", "useful_threads"]
 
 _Result = TypeVar("_Result")
+
+
+# Threads that are of use where one thread joins what all of them have done.
+_MOST: Final = 4
+
+
+def count_cores() -> int:
+    """Return the number of cores that this process may use."""
+    if sys.version_info >= (3, 13):
+        return os.process_cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def useful_threads(threads: int | None) -> int:
+    """Return how many threads to use where one joins what others do: `threads`, but up to 4.
+
+    None for one for each core.
+    """
+    return min(count_cores() if threads is None else threads, _MOST)
 
 
 def start_thread(

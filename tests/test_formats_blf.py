@@ -1,10 +1,12 @@
 """Vector's BLF: there and back, python-can as the peer, files that are cut, damaged and hostile."""
 
 import datetime as dt
+import functools
 import gc
 import io
 import struct
 import sys
+import threading
 import tracemalloc
 import types
 import zlib
@@ -21,6 +23,7 @@ from canser._core.text import NO_CHANNEL, Codes
 from canser._frames import NO_TIME, YEAR_2000_NS, FrameArray
 from canser.errors import CanserWarning, FormatError
 from canser.files import blf
+from canser.files.writer import WriteOptions
 from canser.simulation.traffic import vehicle
 from reference import Frame
 from samples import EPOCH, FRAMES, MILLISECOND, SECOND, array, frames_or_error, listed
@@ -750,3 +753,43 @@ def test_isal_packs_and_unpacks_where_it_is_installed(monkeypatch: pytest.Monkey
     assert all(each in raw for each in packed)
     with pytest.raises(FormatError, match="cannot be inflated"):
         read(header() + IN_FILE["no zlib"][0])
+
+
+@functools.cache
+def many_containers() -> bytes:
+    file = io.BytesIO()
+    writer = blf.write(file, WriteOptions())
+    writer.write(np.tile(vehicle(10), 4))
+    writer.finish()
+    return file.getvalue()
+
+
+@given(
+    changes=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), max_size=3),
+    cut=st.one_of(st.none(), st.floats(0, 1)),
+    skip_bad=st.booleans(),
+)
+def test_damage_is_the_same_for_any_number_of_threads(
+    changes: list[tuple[float, int]],
+    cut: float | None,
+    skip_bad: bool,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    raw = bytearray(many_containers())
+    assert raw.count(b"LOBJ") > 8
+    for place, value in changes:
+        raw[144 + int(place * (len(raw) - 144))] = value
+    path = tmp_path_factory.mktemp("threads") / "x.blf"
+    path.write_bytes(raw if cut is None else raw[: int(cut * len(raw))])
+
+    def outcome(threads: int) -> tuple[list[bytes], object]:
+        seen: list[bytes] = []
+        try:
+            blocks = canser.blocks(path, format="blf", skip_bad=skip_bad, threads=threads)
+            seen.extend(block.tobytes() for block in blocks)
+        except FormatError as error:
+            return [b"".join(seen)], str(error)
+        return [b"".join(seen)], blocks.notes.all_lines
+
+    assert outcome(3) == outcome(1)
+    assert not [each for each in threading.enumerate() if each.name == "canser unpacking"]

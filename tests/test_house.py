@@ -55,7 +55,7 @@ WHERE_USED = {
         ),
     },
     "pyarrow": {"canser.files.columns", "canser.files.parquet", "canser.signals.parquet"},
-    "isal": {"canser.files.blf", "canser.files.packed"},
+    "isal": {"canser.files.containers", "canser.files.packed"},
     "rich": {"canser._progress", "canser.monitoring._table", "canser.monitoring.monitor"},
     "shtab": {"canser.commands.cli"},
     "serial": {"canser.live.line", "canser.live.ports", "canser.live.rfc2217"},

@@ -7,7 +7,6 @@ the guess was right, and the stretch is joined: that takes the same time for few
 If not, the stretch is thrown away, and the calling thread decodes these bytes like any others.
 """
 
-import os
 import sys
 import threading
 from collections import deque
@@ -16,8 +15,9 @@ from typing import Self
 
 from canser._core.buffers import Pointer
 from canser._core.stream import BEHIND, ParallelChunk, Stream
+from canser._threads import count_cores
 
-__all__ = ["STRETCH", "Ahead", "count_cores", "limit_threads"]
+__all__ = ["STRETCH", "Ahead", "limit_threads"]
 
 # The bytes of a stretch, 1 MiB. Their decoding takes long compared with the Python around it, and
 # they fit into a cache.
@@ -37,15 +37,6 @@ _THREADS_MOST = 16
 # The most stretches that the helpers rest for. After each wrong guess they rest for 1, 4, 16 and
 # then 64 stretches. So input on which no guess is right takes hardly longer than with one thread.
 _REST_MOST = 64
-
-
-def count_cores() -> int:
-    """Return the number of cores that this process may use."""
-    if sys.version_info >= (3, 13):
-        return os.process_cpu_count() or 1
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def limit_threads(threads: int) -> int:

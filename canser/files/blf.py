@@ -15,9 +15,8 @@ no frames, such as statistics and LIN, are passed over. The old error frame tell
 
 import datetime as dt
 import struct
-import zlib
-from collections.abc import Iterator
-from typing import Any, BinaryIO, Final
+from collections.abc import Iterable, Iterator
+from typing import BinaryIO, Final
 
 from canser._core.blf import OBJECT_MOST, BlfReader, BlfWriter
 from canser._core.text import Codes, Taken
@@ -25,6 +24,7 @@ from canser._dates import date_ns, first_date, local_date
 from canser._frames import NO_TIME, FrameArray
 from canser._input import Input
 from canser.errors import FormatError
+from canser.files.containers import CONTAINER, OBJECT, Packer, Unpacker
 from canser.files.reader import Reader, ReadOptions
 from canser.files.tagged import TaggedReader
 from canser.files.writer import WriteOptions, give, patchable
@@ -40,7 +40,6 @@ cannot_hold: Final = (
 )
 
 _FILE: Final = b"LOGG"
-_OBJECT: Final = b"LOBJ"
 
 # Signature, bytes of the header, version of Vector's interface, program, level of compression,
 # version of the program (2), bytes of the file, bytes of it inflated, objects, build of the
@@ -53,11 +52,6 @@ _HEADER_MOST: Final = 1 << 16
 
 # The version of Vector's interface, 4.7.1, which has all that is written.
 _INTERFACE: Final = 4_070_100
-
-# Signature, bytes of this header and its version, bytes of the object, type; method, inflated size.
-_CONTAINER: Final = struct.Struct("<4sHHIIH6xI4x")
-_CONTAINER_TYPE: Final = 10
-_STORED, _ZLIB = 0, 2
 
 # The inflated bytes of a container that is written, as in Vector's files.
 _CONTAINER_SIZE: Final = 1 << 17
@@ -97,7 +91,7 @@ class Writer:
         self._file = patchable(file)
         self._begin = self._file.tell()
         self._objects = BlfWriter(_CONTAINER_SIZE)
-        self._zlib = _packing()
+        self._packer = Packer()
         self._begun = False
         self._inflated = _HEADER_LEN
         self._file.write(bytes(_HEADER_LEN))
@@ -110,23 +104,26 @@ class Writer:
             self._begun = True
             self._objects.state.start_ns = first_date(frames, step_ns=1_000_000)
         for content in self._objects.containers(frames, channels, directions):
-            self._put(content)
+            self._inflated += CONTAINER.size + len(content)
+            self._put(self._packer.put(content))
 
-    def _put(self, content: memoryview) -> None:
-        """Write a container."""
-        packed = self._zlib.compress(content, 1)
-        size = _CONTAINER.size + len(packed)
-        header = _CONTAINER.pack(
-            _OBJECT, 16, 1, size, _CONTAINER_TYPE, _ZLIB, len(content)
-        )  # fmt: skip
-        self._file.write(header + packed + bytes(size % 4))
-        self._inflated += _CONTAINER.size + len(content)
+    def _put(self, containers: Iterable[bytes]) -> None:
+        """Write containers."""
+        for each in containers:
+            self._file.write(each)
+
+    def abandon(self) -> None:
+        """Write nothing more: an error has ended the writing."""
+        self._packer.close()
 
     def finish(self) -> list[str]:
         """Write what completes the log; return what it could not hold."""
         content = self._objects.rest()
         if content:
-            self._put(content)
+            self._inflated += CONTAINER.size + len(content)
+            self._put(self._packer.put(content))
+        self._put(self._packer.rest())
+        self._packer.close()
         end = self._file.tell()
         self._file.seek(self._begin)
         self._file.write(self._header(end - self._begin))
@@ -162,22 +159,13 @@ def _to_system_time(date: dt.datetime) -> tuple[int, ...]:
     )  # fmt: skip
 
 
-def _packing() -> Any:
-    """Return the module that inflates and deflates: isal's, which is faster, or else Python's."""
-    try:
-        from isal import isal_zlib  # noqa: PLC0415 - where it is installed
-    except ImportError:
-        return zlib
-    return isal_zlib
-
-
 class _BlfReader(TaggedReader):
     first_channel = 1
 
     def __init__(self, source: Input, options: ReadOptions) -> None:
         self._c = BlfReader()
         super().__init__(source, options)
-        self._zlib = _packing()
+        self._unpacker = Unpacker(options.threads)
         self._offset = 0  # bytes of the file so far
         self._size = 0  # bytes of the file as its header says
         self._parts: list[bytes] = []  # the inflated bytes of the object that is not whole yet
@@ -201,6 +189,8 @@ class _BlfReader(TaggedReader):
         except FormatError:
             yield  # the frames before it
             raise
+        finally:
+            self._unpacker.close()
         yield
 
     def _advance(self, count: int) -> None:
@@ -259,6 +249,8 @@ class _BlfReader(TaggedReader):
                 is_container = self._c.at_container
                 if left < size and source.size is None:
                     yield  # a pipe is waited for: frames go on before
+                if is_container:
+                    self._unpacker.look_ahead(data[taken.used :], self._offset)
                 raw = source.at(self._offset, size)
                 if is_container:
                     yield from self._take_container(raw, size)
@@ -276,7 +268,7 @@ class _BlfReader(TaggedReader):
     def _why(self, raw: memoryview | bytes) -> str:
         """Return why there is no object at the start of these bytes."""
         if self._c.no_object:
-            return f"no object begins here: {bytes(raw[:8])!r} is not {_OBJECT!r}"
+            return f"no object begins here: {bytes(raw[:8])!r} is not {OBJECT!r}"
         size, kind = struct.unpack_from("<II", raw, 8)
         return (
             f"an object of type {kind} has {size:,} bytes: too few for its type, or over "
@@ -294,9 +286,9 @@ class _BlfReader(TaggedReader):
     def _search(self, behind: int) -> None:
         """Go to the next object from a number of bytes behind this place on, or to the end."""
         self._advance(behind)
-        while len(data := self._source.at(self._offset, _SEARCHED)) >= len(_OBJECT):
-            found = bytes(data[:_SEARCHED]).find(_OBJECT)
-            self._advance(found if found >= 0 else len(data) - len(_OBJECT) + 1)
+        while len(data := self._source.at(self._offset, _SEARCHED)) >= len(OBJECT):
+            found = bytes(data[:_SEARCHED]).find(OBJECT)
+            self._advance(found if found >= 0 else len(data) - len(OBJECT) + 1)
             if found >= 0:
                 return
         self._advance(len(data))
@@ -313,12 +305,13 @@ class _BlfReader(TaggedReader):
     def _take_container(self, raw: memoryview, size: int) -> Iterator[None]:
         """Take a container of `size` bytes; fewer are there if the file is cut off."""
         offset = self._offset
-        if len(raw) < _CONTAINER.size:
+        if len(raw) < CONTAINER.size:
             self._is_cut = True
             self._advance(len(raw))
             return
+        self._is_cut |= len(raw) < size
         try:
-            content = self._content(raw, size)
+            content = self._unpacker.content(raw, size, offset)
         except ValueError as error:
             self._damaged(f"byte {offset:,}", f"a container {error}")
             self._inflated += self._held
@@ -330,30 +323,6 @@ class _BlfReader(TaggedReader):
         self._held += len(content)
         if self._held >= self._wanted:
             yield from self._take_content(f"the container at byte {offset:,}")
-
-    def _content(self, raw: memoryview, size: int) -> bytes:
-        """Return the inflated bytes of a container; ValueError if it is damaged."""
-        *_, method, inflated = _CONTAINER.unpack_from(raw)
-        packed = raw[_CONTAINER.size :]
-        if method == _STORED:
-            return bytes(packed)
-        if method != _ZLIB:
-            raise ValueError(f"has the method {method}; {_STORED} and {_ZLIB} are known")
-        if inflated > OBJECT_MOST:
-            raise ValueError(f"has {inflated:,} bytes inflated; at most {OBJECT_MOST:,} are read")
-        inflater = self._zlib.decompressobj()
-        try:
-            # One byte more, for a container that has more than it says.
-            content: bytes = inflater.decompress(packed, inflated + 1)
-        except self._zlib.error as error:
-            raise ValueError(f"cannot be inflated: {error}") from None
-        if len(content) > inflated:
-            raise ValueError(f"inflates to more than {inflated:,} bytes, which it says it has")
-        if len(raw) < size:
-            self._is_cut = True
-        elif len(content) < inflated:
-            raise ValueError(f"inflates to {len(content):,} bytes, and says it has {inflated:,}")
-        return content
 
     def _take_content(self, where: str) -> Iterator[None]:
         """Take the objects of the inflated bytes; keep those of the last one if it is cut."""
@@ -383,7 +352,7 @@ class _BlfReader(TaggedReader):
     @staticmethod
     def _find(data: bytes, begin: int) -> int:
         """Return the place of the next object, the end of the data if there is none."""
-        found = data.find(_OBJECT, begin)
+        found = data.find(OBJECT, begin)
         return found if found >= 0 else len(data)
 
     @property

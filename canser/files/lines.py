@@ -9,7 +9,7 @@ from canser._core.text import Taken, TextReader
 from canser._frames import NO_TIME, FrameArray, put_records
 from canser._input import Input
 from canser._rows import Row
-from canser.codec.parallel import count_cores
+from canser._threads import useful_threads
 from canser.errors import FormatError
 from canser.files.ahead import STRETCH, Ahead, Stretch
 from canser.files.reader import ReadOptions
@@ -28,9 +28,6 @@ _STEPS_BACK_SHARE: Final = 0.01
 _STEPS_BACK_LEAST: Final = 10
 
 _NOTHING: Final = Taken(0, 0, 0)
-
-# Threads that read ahead, at most: one thread joins what they read.
-_THREADS_MOST: Final = 4
 
 # Bytes that are read before threads may begin, with the header and a few frames.
 _FIRST: Final = 1 << 14
@@ -83,8 +80,7 @@ class LineReader(TaggedReader):
         self._sum_ns = 0  # of the differences so far, with times="delta"
         self.bytes_done = 0
         self._is_ended = False
-        threads = count_cores() if options.threads is None else options.threads
-        self._threads = min(threads, _THREADS_MOST)
+        self._threads = useful_threads(options.threads)
         # How threads read ahead, and from which offset on they may begin.
         self._ahead_setup: tuple[Any, ...] = ()
         self._ahead_from = 0
