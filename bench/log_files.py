@@ -325,10 +325,12 @@ def to_parquet(folder: Path, count: int, rounds: int) -> Iterator[LogRow]:
             [sys.executable, *arguments], check=True, capture_output=True, env=environment
         )
 
+    run("-c", code)
+    run(*command)
+    assert (canser.read(target) == canser.read(made)).all()
     peer_s, our_s, ratio = paired(
         lambda: run("-c", code), lambda: run(*command), rounds, lambda: remove(made, target)
     )
-    assert (canser.read(target) == canser.read(made)).all()
     # What both take before the first frame.
     few, tiny = folder / "few.bin", folder / "few.parquet"
     canser.write(traffic(100), few, "serial", force=True)

@@ -637,8 +637,9 @@ typedef struct {
     uint64_t unknown_times; /* written: frames without a time */
     uint64_t error_frames;  /* written, asc and trc: error frames, whose id and data are lost */
     /* Private. */
-    uint64_t number; /* trc: of the last line */
-    uint64_t second; /* of the last line */
+    uint64_t number;      /* written, trc: of the last line */
+    uint64_t number_text; /* written, trc: its first eight characters */
+    uint64_t second;      /* of the last line */
     uint8_t second_text[24];
     uint8_t second_len;
     uint8_t has_second;

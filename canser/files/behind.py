@@ -1,5 +1,7 @@
 """Writes parts to a file in a thread, each while the caller makes the next one."""
 
+import io
+import sys
 from functools import partial
 from typing import BinaryIO, Final
 
@@ -20,12 +22,14 @@ class Behind:
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
+        # Writing to memory holds Python's lock.
+        self._least = sys.maxsize if isinstance(file, io.BytesIO) else _LEAST
         self._helpers: Helpers[int] = Helpers(2, "writing")
 
     def write(self, part: bytes | memoryview) -> None:
         """Write a part, behind all others."""
         self._wait()
-        if len(part) >= _LEAST:
+        if len(part) >= self._least:
             self._helpers.put(partial(self._file.write, part))
         else:
             self._file.write(part)

@@ -9,21 +9,21 @@
  */
 #include "text.h"
 
-/* The six bits of a character of base64; OTHER for all others. */
-enum { OTHER = 0x80 };
-#define A_TO_Z(first)                                                                              \
-    first, first + 1, first + 2, first + 3, first + 4, first + 5, first + 6, first + 7, first + 8, \
-        first + 9, first + 10, first + 11, first + 12, first + 13, first + 14, first + 15,         \
-        first + 16, first + 17, first + 18, first + 19, first + 20, first + 21, first + 22,        \
-        first + 23, first + 24, first + 25
-#define NO_8  OTHER, OTHER, OTHER, OTHER, OTHER, OTHER, OTHER, OTHER
-#define NO_32 NO_8, NO_8, NO_8, NO_8
-static const uint8_t bits_of[256] = {
-    NO_32,      NO_8,  OTHER, OTHER, OTHER, 62,        OTHER, OTHER, OTHER, 63, /* + / */
-    52,         53,    54,    55,    56,    57,        58,    59,    60,    61,    OTHER, OTHER,
-    OTHER,      OTHER, OTHER, OTHER, OTHER, A_TO_Z(0), OTHER, OTHER, OTHER, OTHER, OTHER, OTHER,
-    A_TO_Z(26), OTHER, OTHER, OTHER, OTHER, OTHER,     NO_32, NO_32, NO_32, NO_32,
-};
+/* The six bits of each character of base64, at their place in 24 bits; OTHER for all others. */
+#define OTHER     UINT32_C(0x80000000)
+#define SIX(n, s) (UINT32_C(n) << s)
+#define FIVE(n, s)                                                                                 \
+    SIX(n, s), SIX(n, s) + SIX(1, s), SIX(n, s) + SIX(2, s), SIX(n, s) + SIX(3, s),                \
+        SIX(n, s) + SIX(4, s)
+#define NO_5   OTHER, OTHER, OTHER, OTHER, OTHER
+#define NO_43  NO_5, NO_5, NO_5, NO_5, NO_5, NO_5, NO_5, NO_5, OTHER, OTHER, OTHER
+#define NO_133 NO_43, NO_43, NO_43, OTHER, OTHER, OTHER, OTHER
+#define BASE64(s)                                                                                  \
+    {NO_43,       SIX(62, s),  OTHER,       OTHER,      OTHER,      SIX(63, s),  FIVE(52, s),      \
+     FIVE(57, s), NO_5,        OTHER,       OTHER,      FIVE(0, s), FIVE(5, s),  FIVE(10, s),      \
+     FIVE(15, s), FIVE(20, s), SIX(25, s),  NO_5,       OTHER,      FIVE(26, s), FIVE(31, s),      \
+     FIVE(36, s), FIVE(41, s), FIVE(46, s), SIX(51, s), NO_133}
+static const uint32_t bits_of[4][256] = {BASE64(18), BASE64(12), BASE64(6), BASE64(0)};
 
 /* Two characters of base64 for each number of 12 bits. */
 #define WITH(c)                                                                                    \
@@ -43,32 +43,39 @@ static const uint8_t pairs[8192] = {
     WITH('w'), WITH('x'), WITH('y'), WITH('z'), WITH('0'), WITH('1'), WITH('2'), WITH('3'),
     WITH('4'), WITH('5'), WITH('6'), WITH('7'), WITH('8'), WITH('9'), WITH('+'), WITH('/')};
 
-/* Three bytes, or the `count` first of them, in four characters of base64, padded. */
-CANSER_INLINE const uint8_t *take_quad(const uint8_t *p, size_t count, uint8_t *data)
+/* Three bytes, or the `count` first of them, in four characters of base64, padded: put behind the
+ * lowest bit of `bytes`. */
+CANSER_INLINE const uint8_t *take_quad(const uint8_t *p, size_t count, uint64_t *bytes)
 {
-    const unsigned a = bits_of[p[0]], b = bits_of[p[1]], c = count > 1 ? bits_of[p[2]] : 0,
-                   d = count > 2 ? bits_of[p[3]] : 0;
-    const uint32_t bits = a << 18 | b << 12 | c << 6 | d;
+    const uint32_t bits = bits_of[0][p[0]] | bits_of[1][p[1]] | (count > 1 ? bits_of[2][p[2]] : 0) |
+                          (count > 2 ? bits_of[3][p[3]] : 0);
 
-    if ((a | b | c | d) & OTHER || (count < 2 && p[2] != '=') || (count < 3 && p[3] != '='))
+    if (bits & OTHER || (count < 2 && p[2] != '=') || (count < 3 && p[3] != '='))
         return NULL;
     /* Bits behind the last byte must be zero: else two texts would mean the same. */
     if (bits & (UINT32_C(0xFFFFFF) >> 8 * count))
         return NULL;
-    data[0] = (uint8_t)(bits >> 16);
-    data[1] = (uint8_t)(bits >> 8);
-    data[2] = (uint8_t)bits;
+    *bytes = *bytes << 8 * count | bits >> (24 - 8 * count);
     return p + 4;
 }
 
-/* `count` bytes in base64. */
+/* `count` bytes in base64, up to eight, zeros behind them. They are joined in a register: bytes
+ * that were stored one by one would be waited for when all are loaded. */
 CANSER_INLINE const uint8_t *take_base64(const uint8_t *p, size_t count, uint8_t *data)
 {
+    uint64_t bytes = 0;
     size_t at = 0;
 
     for (; p && at + 3 <= count; at += 3)
-        p = take_quad(p, 3, data + at);
-    return p && at < count ? take_quad(p, count - at, data + at) : p;
+        p = take_quad(p, 3, &bytes);
+    if (p && at < count)
+        p = take_quad(p, count - at, &bytes);
+    if (p && count) {
+        bytes <<= 64 - 8 * count;
+        store_le32(data, swap_bytes((uint32_t)(bytes >> 32)));
+        store_le32(data + 4, swap_bytes((uint32_t)bytes));
+    }
+    return p;
 }
 
 /* A comma, and a flag. */
@@ -80,9 +87,14 @@ CANSER_INLINE const uint8_t *take_flag(const uint8_t *p, unsigned *flag)
     return p + 2;
 }
 
+/* Three flags and a digit, each behind a comma, as eight characters: without the bits that tell
+ * flags and digits. */
+#define FIELDS      UINT64_C(0x302C302C302C302C)
+#define FIELDS_MASK UINT64_C(0xF0FFFEFFFEFFFEFF)
+
 static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
 {
-    uint8_t data[DLC_MAX + 1] = {0};
+    static const uint8_t none[DLC_MAX] = {0};
     unsigned ext, rtr, err;
     uint64_t dlc;
     int64_t ts;
@@ -94,10 +106,19 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
     const unsigned digits = count_hex(text);
     if (!digits)
         return NULL;
-    p = take_flag(take_flag(take_flag(p + digits, &ext), &rtr), &err);
-    p = take_char(take_number(take_char(p, ','), &dlc), ',');
-    if (!p)
-        return NULL;
+    p += digits;
+    /* Mostly the dlc has one digit: then eight characters are looked at together. */
+    const uint64_t fields = load_text(p);
+    dlc = fields >> 56 & 0xF;
+    if (CANSER_LIKELY(!((fields ^ FIELDS) & FIELDS_MASK) && dlc <= DLC_MAX && p[8] == ',')) {
+        ext = fields >> 8 & 1, rtr = fields >> 24 & 1, err = fields >> 40 & 1;
+        p += 9;
+    } else {
+        p = take_flag(take_flag(take_flag(p, &ext), &rtr), &err);
+        p = take_char(take_number(take_char(p, ','), &dlc), ',');
+        if (!p)
+            return NULL;
+    }
     if (dlc > DLC_MAX && dlc <= 64) {
         const uint8_t *const end = memchr(p, '\n', 128);
         if (!end)
@@ -106,25 +127,31 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
         row->direction = SKIPPED;
         return end + 1;
     }
-    if (!put_frame(row->frame, ts, hex_value(text, digits), ext, rtr, err, (size_t)dlc, data))
+    if (!put_frame(row->frame, ts, hex_value(text, digits), ext, rtr, err, (size_t)dlc, none))
         return NULL;
-    if (!rtr) {
-        p = take_base64(p, (size_t)dlc, data);
-        memcpy(row->frame->data, data, DLC_MAX);
-    }
+    if (!rtr)
+        p = take_base64(p, (size_t)dlc, row->frame->data);
     return take_end(p);
+}
+
+/* Two characters of base64, for the 12 bits from a place on. */
+CANSER_INLINE void put_pair(uint8_t *out, uint64_t bits, unsigned place)
+{
+    memcpy(out, pairs + 2 * (bits >> place & 4095), 2);
 }
 
 /* All eight bytes are written, without a branch, and `count` of them kept. */
 CANSER_INLINE uint8_t *put_base64(uint8_t *out, const uint8_t *data, size_t count)
 {
-    uint64_t bits = 0;
+    const uint64_t bits =
+        (uint64_t)swap_bytes(load_le32(data)) << 32 | swap_bytes(load_le32(data + 4));
 
-    for (int i = 0; i < DLC_MAX; i++)
-        bits = bits << 8 | data[i];
-    for (int i = 0; i < 5; i++)
-        memcpy(out + 2 * i, pairs + 2 * (bits >> (52 - 12 * i) & 4095), 2);
-    memcpy(out + 10, pairs + 2 * (bits << 8 & 4095), 2);
+    put_pair(out, bits, 52);
+    put_pair(out + 2, bits, 40);
+    put_pair(out + 4, bits, 28);
+    put_pair(out + 6, bits, 16);
+    put_pair(out + 8, bits, 4);
+    put_pair(out + 10, bits << 8, 0);
     out[11] = '=';
     /* A character for six bits that were begun; then four are made whole. */
     memset(out + (8 * count + 5) / 6, '=', 2);

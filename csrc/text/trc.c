@@ -160,21 +160,63 @@ CANSER_INLINE uint8_t *put_right(uint8_t *out, uint64_t value, unsigned width)
     return out + width;
 }
 
+/* The number of the line, in 7 characters or more. Mostly only its last digit changes. */
+CANSER_INLINE uint8_t *put_number_of_line(canser_text *self, uint8_t *out)
+{
+    const uint64_t last = UINT64_C(1) << 48;
+
+    if (CANSER_LIKELY(++self->number % 10 && self->number_text && self->number < tens[7])) {
+        self->number_text += last;
+        store_text(out, self->number_text);
+        return out + 7;
+    }
+    uint8_t *const end = put_right(out, self->number, 7);
+    self->number_text = load_text(out);
+    return end;
+}
+
+/* Keep the text of a second above 0, in 6 characters, with 3 digits behind it to come. */
+CANSER_COLD void set_second(canser_text *self, uint64_t second)
+{
+    self->has_second = second > 0 && second < tens[6];
+    self->second = second;
+    if (self->has_second) {
+        put_right(self->second_text, second, 7);
+        memmove(self->second_text, self->second_text + 1, 6);
+    }
+}
+
+/* Milliseconds, in 9 characters or more. */
+CANSER_INLINE uint8_t *put_milliseconds(canser_text *self, uint8_t *out, uint64_t ms)
+{
+    const uint64_t second = ms / 1000;
+
+    if (!CANSER_LIKELY(self->has_second && second == self->second)) {
+        set_second(self, second);
+        if (!self->has_second)
+            return put_right(out, ms, 9);
+    }
+    memcpy(out, self->second_text, 8);
+    memcpy(out + 6, canser_text_threes + 4 * (ms - 1000 * second), 4);
+    return out + 9;
+}
+
 CANSER_INLINE uint8_t *put_line(canser_text *self, const canser_frame *frame, unsigned channel,
                                 unsigned direction, uint8_t *out)
 {
     const bool known = frame->ts != CANSER_NO_TIME;
     const int64_t ts = known ? (int64_t)((uint64_t)frame->ts - (uint64_t)self->start_ns) : 0;
-    const uint64_t us = (ts < 0 ? 0 - (uint64_t)ts : (uint64_t)ts) / 1000;
+    const uint64_t ns = ts < 0 ? 0 - (uint64_t)ts : (uint64_t)ts, us = ns / 1000, ms = us / 1000;
 
     self->unknown_times += !known;
-    self->cut_times += ts % 1000 != 0;
-    out = put_right(out, ++self->number, 7);
+    self->cut_times += ns != 1000 * us;
+    out = put_number_of_line(self, out);
     *out++ = ' ';
-    out = ts < 0 ? put_right(PUT(out, "-"), us / 1000, 8) : put_right(out, us / 1000, 9);
+    out =
+        CANSER_LIKELY(ts >= 0) ? put_milliseconds(self, out, ms) : put_right(PUT(out, "-"), ms, 8);
     *out++ = '.';
-    *out++ = (uint8_t)('0' + us / 100 % 10);
-    out = put_digits(out, (uint32_t)(us % 100), 2);
+    memcpy(out, canser_text_threes + 4 * (us - 1000 * ms), 4);
+    out += 3;
     out = frame->err ? PUT(out, " ER ") : frame->rtr ? PUT(out, " RR ") : PUT(out, " DT ");
     out = put_number(out, channel == CANSER_NO_CHANNEL ? 1 : channel + 1);
     *out++ = ' ';
