@@ -149,10 +149,10 @@ def blocks(
         For raw bytes and recordings, together with `out`: filled with the stream offsets of the
         frames, in bytes. Those of a block are `offsets[:count]`.
     threads : int, optional
-        Number of threads that may read a regular file of raw bytes, as for `decode`, or a log of
-        text. By default 1 for raw bytes, and up to 4 for a log of text of over 4 MiB, one for each
-        core. The frames are the same for any number. Of raw bytes, without `out`, the blocks have
-        other lengths.
+        Number of threads that may read a file, with the caller's: raw bytes as for `decode`, a log
+        of text of over 4 MiB, or BLF; raw bytes and text only from regular files. By default 1 for
+        raw bytes, and for logs one for each core, up to 4. The frames are the same for any number.
+        Of raw bytes, without `out`, the blocks have other lengths.
     progress : callable, optional
         Called after each block as `progress(bytes_done, bytes_total)`. `bytes_total` is None if
         it is not known.
@@ -823,8 +823,7 @@ def read(
         For one file of raw bytes or one recording: filled with the stream offsets of the frames,
         in bytes. It needs room for all frames.
     threads : int, optional
-        Number of threads that may read a regular file of raw bytes or a log of text, as for
-        `blocks`.
+        Number of threads that may read a file, with the caller's, as for `blocks`.
     bus : str, optional
         Channel to read from a log of several buses, such as "can0"; all channels by default.
     channels, directions : array of uint8, shape (n,), optional
