@@ -41,9 +41,17 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
         row->direction = p[1] == 'T' ? CANSER_SENT : CANSER_RECEIVED;
         p += 3;
     }
-    p = take_number(take_char(take_number(take_char(p, ','), &bus), ','), &len);
-    if (!p || bus >= CANSER_NO_CHANNEL)
-        return NULL;
+    /* Mostly the bus and the dlc have one digit: then four characters are looked at together. */
+    const uint32_t fields = load_le32(p);
+    bus = fields >> 8 & 0xF, len = fields >> 24 & 0xF;
+    if (CANSER_LIKELY((fields & 0xF0FFF0FF) == 0x302C302C && bus <= 9 && len <= DLC_MAX &&
+                      p[4] == ',')) {
+        p += 4;
+    } else {
+        p = take_number(take_char(take_number(take_char(p, ','), &bus), ','), &len);
+        if (!p || bus >= CANSER_NO_CHANNEL)
+            return NULL;
+    }
     row->channel = (uint8_t)bus;
     if (len > DLC_MAX) {
         const uint8_t *const end = len <= 64 ? memchr(p, '\n', 256) : NULL;
@@ -53,12 +61,9 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
         row->direction = SKIPPED;
         return end + 1;
     }
-    for (size_t i = 0; i < len; i++) {
-        p = take_char(p, ',');
-        p = p ? take_byte(p, &data[i]) : NULL;
-        if (!p)
-            return NULL;
-    }
+    p = take_gapped(p, (size_t)len, ',', data);
+    if (!p)
+        return NULL;
     for (int i = 0; i <= DLC_MAX && *p == ','; i++)
         p++;
     if (!put_frame(row->frame, (int64_t)us * 1000, hex_value(text, digits), ext, 0, 0, (size_t)len,

@@ -323,35 +323,35 @@ CANSER_INLINE const uint8_t *take_byte(const uint8_t *p, uint8_t *value)
     return p + 1;
 }
 
-/* `count` bytes of one or two hexadecimal digits, a blank before each. */
-CANSER_INLINE const uint8_t *take_short_bytes(const uint8_t *p, size_t count, uint8_t *data)
+/* `count` bytes of one or two hexadecimal digits, `gap` before each: for a space any blank. */
+CANSER_INLINE const uint8_t *take_short_bytes(const uint8_t *p, size_t count, char gap,
+                                              uint8_t *data)
 {
     for (size_t i = 0; p && i < count; i++)
-        p = is_blank(*p) ? take_byte(p + 1, &data[i]) : NULL;
+        p = *p == (uint8_t)gap || (gap == ' ' && is_blank(*p)) ? take_byte(p + 1, &data[i]) : NULL;
     return p;
 }
 
-/* Four pairs of characters, each behind a blank, as eight characters. */
+/* Four pairs of characters, each behind a gap, as eight characters. */
 CANSER_INLINE uint64_t load_pairs(const uint8_t *p)
 {
     return load_le16(p + 1) | load_le16(p + 4) << 16 | (uint64_t)load_le16(p + 7) << 32 |
            (uint64_t)load_le16(p + 10) << 48;
 }
 
-/* `count` bytes of hexadecimal digits, up to eight: any blanks before the first, one before each
- * other one. Behind the bytes of `data` that count lie any. */
-CANSER_INLINE const uint8_t *take_spaced(const uint8_t *p, size_t count, uint8_t *data)
+/* `count` bytes of hexadecimal digits, up to eight, `gap` before each: for a space any blank.
+ * Behind the bytes of `data` that count lie any. */
+CANSER_INLINE const uint8_t *take_gapped(const uint8_t *p, size_t count, char gap, uint8_t *data)
 {
-    /* The characters that count: two digits of each byte, and the blanks before them as they lie
-     * in `blanks`. All are looked at, without a branch: lengths of mixed traffic are not guessed.
-     */
+    /* The characters that count: two digits of each byte, and the gaps before them as they lie in
+     * `gaps`. All are looked at, without a branch: lengths of mixed traffic are not guessed. */
     static const uint64_t of_digits[2 * DLC_MAX - 3] = {
         0,          0,          0,          0,
         0,          0xFFFF,     0xFFFFFFFF, 0xFFFFFFFFFFFF,
         UINT64_MAX, UINT64_MAX, UINT64_MAX, UINT64_MAX,
         UINT64_MAX,
     };
-    static const uint64_t of_blanks[DLC_MAX + 1] = {
+    static const uint64_t of_gaps[DLC_MAX + 1] = {
         0,
         UINT64_C(0x00000000000000FF),
         UINT64_C(0x00000000FF0000FF),
@@ -363,23 +363,26 @@ CANSER_INLINE const uint8_t *take_spaced(const uint8_t *p, size_t count, uint8_t
         UINT64_MAX,
     };
 
-    if (count)
-        p = take_blanks(p);
-    if (!p)
-        return NULL;
-    p -= count != 0; /* the last one of these blanks */
     const uint64_t first = load_pairs(p), second = load_pairs(p + 12);
-    const uint64_t blanks = (load_text(p) & UINT64_C(0x00FF0000FF0000FF)) |
-                            (load_text(p + 8) & UINT64_C(0xFF0000FF0000FF00)) |
-                            (load_text(p + 16) & UINT64_C(0x0000FF0000FF0000));
+    const uint64_t gaps = (load_text(p) & UINT64_C(0x00FF0000FF0000FF)) |
+                          (load_text(p + 8) & UINT64_C(0xFF0000FF0000FF00)) |
+                          (load_text(p + 16) & UINT64_C(0x0000FF0000FF0000));
     if (CANSER_LIKELY(!((find_no_hex(first) & of_digits[count + 4]) |
                         (find_no_hex(second) & of_digits[count]) |
-                        ((blanks ^ EACH(' ')) & of_blanks[count])))) {
+                        ((gaps ^ EACH((uint8_t)gap)) & of_gaps[count])))) {
         store_le32(data, hex_bytes(first));
         store_le32(data + 4, hex_bytes(second));
         return p + 3 * count;
     }
-    return take_short_bytes(p, count, data);
+    return take_short_bytes(p, count, gap, data);
+}
+
+/* The same, with any blanks before the first byte, and one before each other one. */
+CANSER_INLINE const uint8_t *take_spaced(const uint8_t *p, size_t count, uint8_t *data)
+{
+    if (count)
+        p = take_blanks(p);
+    return p ? take_gapped(p - (count != 0), count, ' ', data) : NULL;
 }
 
 /* Store the record of a data, a remote or an error frame; false if it is none of classic CAN. */
