@@ -21,7 +21,7 @@ __all__ = ["STRETCH", "Ahead", "Stretch"]
 
 # Bytes of a stretch. Their reading takes long compared with the Python around it, and they fit into
 # a cache.
-STRETCH = 1 << 19
+STRETCH = 1 << 20
 
 # Bytes behind a stretch in which its last line must end. A usual line has under 200.
 _LINE: Final = 1 << 12

@@ -36,7 +36,7 @@ _FIRST: Final = 1 << 14
 _REST: Final = 1 << 14
 
 # Bytes from which on threads are of use.
-_AHEAD_LEAST: Final = 8 * STRETCH
+_AHEAD_LEAST: Final = 4 * STRETCH
 
 
 def _find_end(data: memoryview, begin: int) -> int:
