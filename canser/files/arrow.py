@@ -10,8 +10,6 @@ from canser.files.writer import WriteOptions
 
 about: Final = "an Arrow IPC file"
 
-suffixes: Final = (".arrow", ".feather")
-
 cannot_hold: Final = ("names of channels",)
 
 

@@ -41,8 +41,6 @@ from canser.files.writer import WriteOptions
 
 about: Final = "an ASC log of Vector"
 
-suffixes: Final = (".asc",)
-
 cannot_hold: Final = (
     "times under a microsecond",
     "whether a time is known",

@@ -31,8 +31,6 @@ from canser.files.writer import WriteOptions, give, patchable
 
 about: Final = "a BLF log of Vector"
 
-suffixes: Final = (".blf",)
-
 cannot_hold: Final = (
     "times before the first one",
     "whether a time is known",

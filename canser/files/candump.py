@@ -46,8 +46,6 @@ from canser.files.writer import WriteOptions
 
 about: Final = "a candump log"
 
-suffixes: Final = (".log",)
-
 cannot_hold: Final = (
     "times under a microsecond",
     "whether a time is known",

@@ -34,8 +34,6 @@ from canser.files.writer import WriteOptions
 
 about: Final = "a CSV file of python-can"
 
-suffixes: Final = (".csv",)
-
 cannot_hold: Final = ("the channel", "the direction")
 
 COLUMNS: Final = ("timestamp", "arbitration_id", "extended", "remote", "error", "dlc", "data")

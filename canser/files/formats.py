@@ -20,26 +20,12 @@ import shlex
 import warnings
 from collections.abc import Iterator
 from functools import cache
+from importlib import import_module
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 from canser._input import Input
 from canser.errors import CanserWarning, ForeignFormatError
-from canser.files import (
-    arrow,
-    asc,
-    blf,
-    candump,
-    csv,
-    gvret,
-    mf4,
-    npy,
-    parquet,
-    pcap,
-    raw,
-    recordings,
-    trc,
-)
 from canser.files.foreign import HEAD_LEN, TEXT, recognise
 from canser.files.judge import is_auto, is_surely
 from canser.files.packed import without_packing
@@ -70,21 +56,32 @@ _GROUP: Final = "canser.formats"
 # For the attributes of a format see this module's docstring.
 Format = Any
 
-# Any: a type checker does not see that these modules have the attributes of a format.
-BUILT_IN: Final[dict[str, Any]] = {
-    RAW: raw,
-    PCAPNG: recordings,
-    "arrow": arrow,
-    "asc": asc,
-    "blf": blf,
-    "candump": candump,
-    "csv": csv,
-    "gvret": gvret,
-    "mf4": mf4,
-    "npy": npy,
-    "parquet": parquet,
-    "pcap": pcap,
-    "trc": trc,
+
+class _BuiltIn:
+    """A format of canser. Its module is imported when it is asked for more than its suffixes."""
+
+    def __init__(self, module: str, *suffixes: str) -> None:
+        self._module = f"canser.files.{module}"
+        self.suffixes = suffixes
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(import_module(self._module), name)
+
+
+BUILT_IN: Final[dict[str, Format]] = {
+    RAW: _BuiltIn("raw", ".bin", ".raw"),
+    PCAPNG: _BuiltIn("recordings", ".pcapng"),
+    "arrow": _BuiltIn("arrow", ".arrow", ".feather"),
+    "asc": _BuiltIn("asc", ".asc"),
+    "blf": _BuiltIn("blf", ".blf"),
+    "candump": _BuiltIn("candump", ".log"),
+    "csv": _BuiltIn("csv", ".csv"),
+    "gvret": _BuiltIn("gvret", ".gvret.csv"),
+    "mf4": _BuiltIn("mf4", ".mf4"),
+    "npy": _BuiltIn("npy", ".npy"),
+    "parquet": _BuiltIn("parquet", ".parquet"),
+    "pcap": _BuiltIn("pcap", ".pcap"),
+    "trc": _BuiltIn("trc", ".trc"),
 }
 
 
@@ -195,10 +192,10 @@ def choose_format(source: Input, options: ReadOptions, given: str | None) -> str
     if forced and options.as_is:
         return RAW
     head = _head(source, wait=options.protocol is None)
-    # Formats of other packages take long to find. They are not asked about bytes that are surely of
-    # the given protocol.
+    # Formats take long to import, and those of other packages to find. They are not asked about
+    # bytes that are surely of the given protocol.
     sure = given_raw and is_surely(str(options.protocol), head)
-    found = _sniffed(head, added=not forced and not sure)
+    found = None if sure else _sniffed(head, added=not forced)
     if found is not None:
         if forced:
             what = f"{source.name} is {find_format(found).about}, not raw bytes"
@@ -224,7 +221,7 @@ def _head(source: Input, *, wait: bool) -> bytes:
         size = 1
         while len(source.at(0, size)) == size < HEAD_LEN:
             held = bytes(source.some(0))
-            if b"\n" in held or pcap.sniff(held):
+            if b"\n" in held or BUILT_IN["pcap"].sniff(held):
                 break
             size = len(held) + 1
     return bytes(source.some(0)[:HEAD_LEN])

@@ -26,8 +26,6 @@ from canser.files.writer import WriteOptions
 
 about: Final = "a GVRET table"
 
-suffixes: Final = (".gvret.csv",)
-
 cannot_hold: Final = (
     "times under a microsecond",
     "whether a time is known",

@@ -47,8 +47,6 @@ from canser.files.writer import WriteOptions, give
 
 about: Final = "an ASAM MF4 log"
 
-suffixes: Final = (".mf4",)
-
 cannot_hold: Final = (
     "whether a time is known",
     "the order of frames that are not in order of time",

@@ -19,8 +19,6 @@ from canser.files.writer import WriteOptions, give, patchable
 
 about: Final = "a .npy file of numpy"
 
-suffixes: Final = (".npy",)
-
 cannot_hold: Final = ("the channel", "the direction")
 
 # Frames in a block: 1.5 MiB of records.

@@ -14,8 +14,6 @@ from canser.files.writer import WriteOptions
 
 about: Final = "a Parquet file"
 
-suffixes: Final = (".parquet",)
-
 cannot_hold: Final = ("names of channels",)
 
 # Rows that are read at a time.

@@ -39,8 +39,6 @@ from canser.recording.pcapng import Order, u16, u32
 
 about: Final = "a capture of CAN frames"
 
-suffixes: Final = (".pcap",)
-
 cannot_hold: Final = (
     "whether a time is known",
     "times before 1970",

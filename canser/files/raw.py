@@ -25,8 +25,6 @@ from canser.files.writer import WriteOptions
 
 __all__ = ["BLOCK_FRAMES", "RawReader", "RawWriter"]
 
-suffixes: Final = (".bin", ".raw")
-
 about: Final = "raw bytes"
 
 cannot_hold: Final = ("what the protocol has no place for, such as times",)

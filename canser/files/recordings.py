@@ -28,8 +28,6 @@ from canser.recording.writer import RecordingWriter
 
 __all__ = ["RecordingFile", "RecordingReader", "open_writer"]
 
-suffixes: Final = (".pcapng",)
-
 about: Final = "a recording"
 
 cannot_hold: Final = ("what the protocol has no place for", "times to less than 2 ms")

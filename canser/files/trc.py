@@ -35,8 +35,6 @@ from canser.files.writer import WriteOptions
 
 about: Final = "a PCAN trace"
 
-suffixes: Final = (".trc",)
-
 cannot_hold: Final = (
     "times under a microsecond",
     "whether a time is known",
