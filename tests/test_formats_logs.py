@@ -3,6 +3,8 @@
 import datetime as dt
 import io
 import re
+import warnings
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -460,3 +462,29 @@ def test_numbers_of_another_base_are_named(base: str, rest: str, why: str, tmp_p
     path.write_text(f"{head} 0.5 1  123             Rx   d 1 {rest}\n")
     with pytest.raises(FormatError, match=re.escape(why)):
         canser.read(path)
+
+
+@given(
+    times=st.lists(
+        st.tuples(
+            st.integers(0, 9),
+            st.sampled_from(["0", "7", "9", "10", "99", "100", "123456", "1234567", "-0", "-7"]),
+            st.from_regex(r"[0-9]{1,9}", fullmatch=True)
+            | st.from_regex(r"[0-9]{6}", fullmatch=True),
+        ),
+        max_size=20,
+    )
+)
+def test_asc_times_of_any_width_are_exact(
+    times: list[tuple[int, str, str]], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("asc") / "x.asc"
+    lines = "".join(
+        f"{' ' * blanks}{whole}.{places} 1  123             Rx   d 1 00\n"
+        for blanks, whole, places in times
+    )
+    path.write_text(f"date Thu Jan 01 00:00:00.000 2026\nbase hex timestamps absolute\n{lines}")
+    wanted = [int(Decimal(f"{whole}.{places}") * SECOND) for _, whole, places in times]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # times go back
+        assert canser.read(path)["ts"].tolist() == wanted

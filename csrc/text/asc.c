@@ -90,6 +90,34 @@ CANSER_INLINE const uint8_t *take_tokens(const uint8_t *p, text_row *row, uint32
     return p + 1;
 }
 
+/* A time, and keep the text of its second, if it has six places. */
+CANSER_COLD const uint8_t *take_any_time(canser_text *self, const uint8_t *p, int64_t *ts)
+{
+    const uint8_t *const begin = skip_blanks(p), *const end = take_fixed(begin, 9, ts);
+
+    self->seconds_low = 0;
+    if (end && end - begin > 7 && end[-7] == '.' && *begin != '-' && end - 6 - p <= 8) {
+        self->seconds_low = (uint32_t)(end - 6 - p);
+        self->seconds_high = load_text(p) & UINT64_MAX >> (64 - 8 * self->seconds_low);
+        self->seconds_ns = *ts - *ts % 1000000000;
+    }
+    return end;
+}
+
+/* A time, with the blanks before it. Most lines have the second of the line before. */
+CANSER_INLINE const uint8_t *take_time(canser_text *self, const uint8_t *p, int64_t *ts)
+{
+    const unsigned len = self->seconds_low; /* of the blanks, the second and the point */
+    const uint64_t places = load_text(p + len);
+
+    if (CANSER_LIKELY(len && !((load_text(p) ^ self->seconds_high) << (64 - 8 * len)) &&
+                      count_digits(places) == 6)) {
+        *ts = self->seconds_ns + (int64_t)digits_value(places, 6) * 1000;
+        return p + len + 6;
+    }
+    return take_any_time(self, p, ts);
+}
+
 static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
 {
     const uint8_t *const line = p;
@@ -100,7 +128,7 @@ static const uint8_t *read(canser_text *self, const uint8_t *p, text_row *row)
 
     if (self->is_decimal)
         return NULL;
-    p = take_fixed(skip_blanks(p), 9, &ts);
+    p = take_time(self, p, &ts);
     if (!p)
         return NULL;
     const uint8_t *const usual = take_usual(p, row, &id, &ext, &dlc);
