@@ -3,7 +3,7 @@
 Rows of `table.py`. In memory: a buffer of text to an array, and back, over python-can's readers and
 writers with the same buffer and messages; for GVRET over a loop of Python's csv module, as
 python-can has none. File to file: reading by `blocks`, and writing, over a copy of the file by
-read() and write(). Files are written where none is, and then in the place of one that is there.
+read() and write(). Files are written where none is; candump's also in the place of one.
 """
 
 import csv
@@ -241,7 +241,7 @@ def packing_alone(count: int, folder: Path, rounds: int) -> Iterator[LogRow]:
             module.compress(each, 1)
 
     for what, work in (("inflating", inflate), ("deflating", deflate)):
-        copy_s, our_s, ratio = paired(copy, work, rounds)
+        copy_s, our_s, ratio = paired(copy, work, 2 * rounds + 1, lambda: remove(copied))
         note = f"{our_s:.3f} s, copy {copy_s:.3f}; {module.__name__}"
         yield LogRow(f"{what} blf, no more, over a copy", "", ratio, None, note)
 

@@ -643,9 +643,8 @@ typedef struct {
     uint8_t second_text[24];
     uint8_t second_len;
     uint8_t has_second;
-    uint8_t last_name; /* read: index of the name in the last line */
-    uint32_t
-        seconds_low; /* read: the last seconds, as text and as a time; asc: the text's length */
+    uint8_t last_name;    /* read: index of the name in the last line */
+    uint32_t seconds_low; /* read: the last seconds, as text and time; asc: length of the text */
     uint64_t seconds_high;
     int64_t seconds_ns;
     uint8_t has_name; /* written: whether there is `name`, that of the last line */

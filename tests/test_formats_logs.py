@@ -451,8 +451,9 @@ def test_a_gvret_table_without_its_header_is_an_error_also_if_lines_may_be_bad(
 @pytest.mark.parametrize(
     ("base", "rest", "why"),
     [
-        ("dec", "7C", "line 3: '7C' is no decimal number, as the line 'base' wants it"),
-        ("hex", "1_2", "line 3: '1_2' is no hexadecimal number, as the line 'base' wants it"),
+        ("dec", "7C", "line 3: '7C' is no decimal number; is the line 'base' right?"),
+        ("hex", "1_2", "line 3: '1_2' is no hexadecimal number; is the line 'base' right?"),
+        ("hex", "\u0661", "line 3: '\u0661' is no hexadecimal number; is the line 'base' right?"),
         ("dec", "256", "line 3: '256' is no byte: it is over 255"),
     ],
 )

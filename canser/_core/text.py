@@ -97,7 +97,7 @@ class TextReader(_Text):
 
     @property
     def setup(self) -> tuple[Any, ...]:
-        """What tells how lines are read, but for the names of channels, of which more may come."""
+        """What tells how lines are read; a line that Python reads may change it."""
         state = self.state
         return state.name_count, ffi.string(state.columns), state.is_decimal, state.is_relative
 

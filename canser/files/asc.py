@@ -32,9 +32,9 @@ from canser._dates import date_ns, first_date, local_date
 from canser._frames import NO_TIME, FrameArray
 from canser._input import Input
 from canser._rows import check_row
-from canser.files.behind import Behind
 from canser.files.foreign import is_text
 from canser.files.lines import Line, LineReader
+from canser.files.linewriter import LineWriter
 from canser.files.reader import Reader, ReadOptions
 from canser.files.seconds import parse_seconds
 from canser.files.writer import WriteOptions
@@ -100,14 +100,14 @@ def write(file: BinaryIO, options: WriteOptions) -> "Writer":
     return Writer(file, options.tz)
 
 
-class Writer:
+class Writer(LineWriter):
     """Writes frames as lines, behind a header with the time of the first frame."""
 
     takes_tags = True
 
     def __init__(self, file: BinaryIO, tz: dt.tzinfo | None = None) -> None:
-        self._file, self._tz = Behind(file), tz
-        self._lines = TextWriter("asc")
+        super().__init__(file, TextWriter("asc"))
+        self._tz = tz
         self._begun = False
 
     def write(
@@ -116,8 +116,7 @@ class Writer:
         """Append frames."""
         if not self._begun:
             self._begin(frames)
-        for part in self._lines.lines(frames, channels, directions):
-            self._file.write(part)
+        self._put(frames, channels, directions)
 
     def _begin(self, frames: FrameArray) -> None:
         self._begun = True
@@ -130,16 +129,12 @@ class Writer:
             f"Begin Triggerblock {text}\n   0.000000 Start of measurement\n".encode()
         )
 
-    def abandon(self) -> None:
-        """Write nothing more: an error has ended the writing."""
-        self._file.abandon()
-
     def finish(self) -> list[str]:
         """Write the end; return what the log could not hold."""
         if not self._begun:
             self._begin(np.empty(0, [("ts", np.int64)]))
         self._file.write(b"End TriggerBlock\n")
-        self._file.finish()
+        self._end()
         state = self._lines.state
         remarks = {
             "error frames without their id, data and direction": state.error_frames,
@@ -147,6 +142,17 @@ class Writer:
             "times cut to the microsecond": state.cut_times,
         }
         return [f"{what}: {count:,}" for what, count in remarks.items() if count]
+
+
+def _number(text: str, base: int) -> int:
+    """Return a number of digits only; ValueError for any other text."""
+    try:
+        if text.isascii() and text.isalnum():  # int() takes signs, underscores, other digits
+            return int(text, base)
+    except ValueError:
+        pass
+    kind = "decimal" if base == 10 else "hexadecimal"
+    raise ValueError(f"{text[:60]!r} is no {kind} number; is the line 'base' right?")
 
 
 class _AscReader(LineReader):
@@ -238,7 +244,7 @@ class _AscReader(LineReader):
         ts = self._time(time)
         rtr = kind == "r"
         if rtr:
-            dlc, data = min(int(tokens[0], 16), 8) if tokens else 0, b""
+            dlc, data = min(_number(tokens[0], 16), 8) if tokens else 0, b""
         else:
             if not tokens:
                 raise ValueError("a data frame without a dlc")
@@ -247,19 +253,13 @@ class _AscReader(LineReader):
                 self._c.state.fd_count += 1
                 return None
             data = bytes(map(self._byte, tokens))
-            dlc = min(int(size, 16 if len(size) == 1 else 10), 8)
+            dlc = min(_number(size, 16 if len(size) == 1 else 10), 8)
         row = (self._whole(digits), bool(x), rtr, dlc, False, data, ts)
         return Line(check_row(row), channel, direction)
 
     def _whole(self, text: str) -> int:
         """Return a number in the base of the log."""
-        try:
-            if text.isalnum():  # int() takes signs and underscores, too
-                return int(text, self._base)
-        except ValueError:
-            pass
-        kind = "decimal" if self._base == 10 else "hexadecimal"
-        raise ValueError(f"{text[:60]!r} is no {kind} number, as the line 'base' wants it")
+        return _number(text, self._base)
 
     def _byte(self, text: str) -> int:
         number = self._whole(text)

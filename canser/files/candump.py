@@ -36,9 +36,9 @@ from canser._dates import to_ns
 from canser._frames import NO_TIME, FrameArray, copy_records
 from canser._input import Input
 from canser._rows import check_row
-from canser.files.behind import Behind
 from canser.files.foreign import is_text
 from canser.files.lines import Line, LineReader
+from canser.files.linewriter import LineWriter
 from canser.files.reader import Reader, ReadOptions
 from canser.files.seconds import parse_seconds
 from canser.files.tags import printable
@@ -178,21 +178,21 @@ class _Lines(TextWriter):
                 self.renamed.append(f"{printable(name)} is can{code}")
 
 
-class Writer:
+class Writer(LineWriter):
     """Write frames as lines of a log."""
 
     takes_tags = True
 
     def __init__(self, file: BinaryIO, names: Mapping[int, str] | None = None) -> None:
-        self._file, self._lines = Behind(file), _Lines(names)
+        self._log = _Lines(names)
+        super().__init__(file, self._log)
 
     def write(
         self, frames: FrameArray, channels: Codes | None = None, directions: Codes | None = None
     ) -> None:
         """Append frames."""
-        self._lines.add_names()
-        for part in self._lines.lines(frames, channels, directions):
-            self._file.write(part)
+        self._log.add_names()
+        self._put(frames, channels, directions)
 
     @property
     def ts_cut(self) -> int:
@@ -204,18 +204,14 @@ class Writer:
         """Frames whose time is not known, written as 0."""
         return int(self._lines.state.unknown_times)
 
-    def abandon(self) -> None:
-        """Write nothing more: an error has ended the writing."""
-        self._file.abandon()
-
     def finish(self) -> list[str]:
         """Write the rest; return what a log could not hold."""
-        self._file.finish()
+        self._end()
         remarks = {
             "frames without a time, written as 0": self.ts_unknown,
             "times cut to the microsecond": self.ts_cut,
         }
-        names = ", ".join(self._lines.renamed[:16])
+        names = ", ".join(self._log.renamed[:16])
         renamed = [f"channels with other names: {names}"] if names else []
         return [*(f"{what}: {count:,}" for what, count in remarks.items() if count), *renamed]
 

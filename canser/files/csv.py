@@ -24,9 +24,9 @@ from canser._frames import FrameArray
 from canser._input import Input
 from canser._rows import Row, check_row
 from canser.errors import FormatError
-from canser.files.behind import Behind
 from canser.files.foreign import is_text
 from canser.files.lines import BLANKS, Line, LineReader
+from canser.files.linewriter import LineWriter
 from canser.files.reader import Reader, ReadOptions
 from canser.files.seconds import parse_seconds
 from canser.files.tags import printable
@@ -67,26 +67,20 @@ def write(file: BinaryIO, options: WriteOptions) -> "Writer":  # noqa: ARG001 - 
     return Writer(file)
 
 
-class Writer:
+class Writer(LineWriter):
     """Write frames as rows under a header."""
 
     def __init__(self, file: BinaryIO) -> None:
-        self._file = Behind(file)
-        self._lines = TextWriter("csv")
+        super().__init__(file, TextWriter("csv"))
         self._file.write(",".join(COLUMNS).encode() + b"\n")
 
     def write(self, frames: FrameArray) -> None:
         """Append frames."""
-        for part in self._lines.lines(frames, None, None):
-            self._file.write(part)
-
-    def abandon(self) -> None:
-        """Write nothing more: an error has ended the writing."""
-        self._file.abandon()
+        self._put(frames)
 
     def finish(self) -> list[str]:
         """Write the rest; return no remarks: the file holds everything."""
-        self._file.finish()
+        self._end()
         return []
 
 

@@ -18,9 +18,9 @@ from canser._frames import FrameArray
 from canser._input import Input
 from canser._rows import check_row
 from canser.errors import FormatError
-from canser.files.behind import Behind
 from canser.files.foreign import is_text
 from canser.files.lines import Line, LineReader
+from canser.files.linewriter import LineWriter
 from canser.files.reader import Reader, ReadOptions
 from canser.files.writer import WriteOptions
 
@@ -64,14 +64,13 @@ def write(file: BinaryIO, options: WriteOptions) -> "Writer":  # noqa: ARG001 - 
     return Writer(file)
 
 
-class Writer:
+class Writer(LineWriter):
     """Writes frames as rows under a header."""
 
     takes_tags = True
 
     def __init__(self, file: BinaryIO) -> None:
-        self._file = Behind(file)
-        self._lines = TextWriter("gvret")
+        super().__init__(file, TextWriter("gvret"))
         self._remote = self._error = 0  # frames left out
         self._file.write(_HEADER)
 
@@ -86,16 +85,11 @@ class Writer:
             frames = frames.compress(~wrong)
             channels = None if channels is None else channels.compress(~wrong)
             directions = None if directions is None else directions.compress(~wrong)
-        for part in self._lines.lines(frames, channels, directions):
-            self._file.write(part)
-
-    def abandon(self) -> None:
-        """Write nothing more: an error has ended the writing."""
-        self._file.abandon()
+        self._put(frames, channels, directions)
 
     def finish(self) -> list[str]:
         """Write the rest; return what the table could not hold."""
-        self._file.finish()
+        self._end()
         remarks = {
             "remote frames, left out": self._remote,
             "error frames, left out": self._error,

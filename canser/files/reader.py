@@ -29,7 +29,7 @@ class ReadOptions:
     ts_unit: str | None = None
     out: FrameArray | None = None
     offsets: Offsets | None = None
-    #: None for 1 of raw bytes, and as many as are of use of a log of text.
+    #: None for 1 of raw bytes, and for up to 4 of BLF and of a log of text.
     threads: int | None = None
     as_is: bool = False
     #: Channel to read from a log of several buses, such as "can0"; None for all.

@@ -27,9 +27,9 @@ from canser._dates import date_ns, first_date, local_date
 from canser._frames import FrameArray
 from canser._input import Input
 from canser._rows import check_row
-from canser.files.behind import Behind
 from canser.files.foreign import is_text
 from canser.files.lines import Line, LineReader
+from canser.files.linewriter import LineWriter
 from canser.files.reader import Reader, ReadOptions
 from canser.files.writer import WriteOptions
 
@@ -81,14 +81,14 @@ def write(file: BinaryIO, options: WriteOptions) -> "Writer":
     return Writer(file, options.tz)
 
 
-class Writer:
+class Writer(LineWriter):
     """Writes frames as lines of version 2.1, behind a header with the time of the first frame."""
 
     takes_tags = True
 
     def __init__(self, file: BinaryIO, tz: dt.tzinfo | None = None) -> None:
-        self._file, self._tz = Behind(file), tz
-        self._lines = TextWriter("trc")
+        super().__init__(file, TextWriter("trc"))
+        self._tz = tz
         self._begun = False
 
     def write(
@@ -97,8 +97,7 @@ class Writer:
         """Append frames."""
         if not self._begun:
             self._begin(frames)
-        for part in self._lines.lines(frames, channels, directions):
-            self._file.write(part)
+        self._put(frames, channels, directions)
 
     def _begin(self, frames: FrameArray) -> None:
         self._begun = True
@@ -117,15 +116,11 @@ class Writer:
             ";---+-- ------+------ +- +- --+----- +- +- +--- +- -- -- -- -- -- -- --\n".encode()
         )
 
-    def abandon(self) -> None:
-        """Write nothing more: an error has ended the writing."""
-        self._file.abandon()
-
     def finish(self) -> list[str]:
         """Write the rest; return what the trace could not hold."""
         if not self._begun:
             self._begin(np.empty(0, [("ts", np.int64)]))
-        self._file.finish()
+        self._end()
         state = self._lines.state
         remarks = {
             "error frames without their id and data": state.error_frames,
