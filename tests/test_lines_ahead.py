@@ -44,11 +44,10 @@ ODD_OF = {
 @pytest.fixture
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make stretches of about two lines, of any file."""
-    for module in (ahead, lines):
-        monkeypatch.setattr(module, "STRETCH", 100)
-    monkeypatch.setattr(lines, "_AHEAD_LEAST", 1)
+    monkeypatch.setattr(ahead, "STRETCH", 100)
+    monkeypatch.setattr(ahead, "_LEAST", 1)
+    monkeypatch.setattr(ahead, "_REST", 0)
     monkeypatch.setattr(lines, "_FIRST", 100)
-    monkeypatch.setattr(lines, "_REST", 0)
     monkeypatch.setattr(parallel, "count_cores", lambda: 8)
 
 
@@ -199,6 +198,6 @@ def test_a_large_log_is_read_as_by_one_thread(tmp_path: Path) -> None:
     path = tmp_path / "x.log"
     frames = np.tile(vehicle(10), 8)
     canser.write(frames, path)
-    assert path.stat().st_size > lines._AHEAD_LEAST
+    assert path.stat().st_size > ahead._LEAST
     for threads in (None, 1, 2, 3):
         assert (canser.read(path, threads=threads) == frames).all()

@@ -29,6 +29,12 @@ _LINE: Final = 1 << 12
 # Frames of a stretch that there is room for. A usual line has more than 16 bytes.
 _ROWS: Final = STRETCH // 16
 
+# Bytes from which on threads are of use.
+_LEAST: Final = 4 * STRETCH
+
+# Bytes until threads may begin for the second time; twice as many for the third time, and so on.
+_REST: Final = 1 << 14
+
 # Bytes of the text of a stretch with those around it, in whole frames; and all that one needs.
 _BYTES: Final = STRETCH + 2 * _LINE
 _MEMORY: Final = _BYTES + (2 + FRAME_DTYPE.itemsize) * _ROWS
@@ -79,17 +85,17 @@ def _find_end(data: memoryview, begin: int) -> int | None:
 class Ahead:
     """Threads that read stretches of a text ahead. A context manager, which ends them.
 
-    `begin` starts them. Then `take` gives stretches in their order; each is given back before the
-    next one is taken. A stretch that meets an error is not there: the reader then meets it itself.
+    `take` gives stretches in their order; each is given back before the next one is taken. A
+    stretch that meets an error is not there: the reader then meets it itself.
     """
 
     def __init__(self, source: Input, name: str, threads: int) -> None:
-        self._source, self._name = source, name
-        self._rooms = 2 * threads
+        self._source, self._name, self._threads = source, name, threads
         self._helpers: Helpers[Stretch] = Helpers(threads, "lines")
         self._free: list[Stretch] = []
-        self._setup: TextReader | None = None  # None while no stretches are to be read
+        self._setup: TextReader | None = None  # None while no stretches are read
         self._next = 0  # offset of the next stretch
+        self._from, self._rest = 0, _REST  # from where threads may begin; bytes to there next time
 
     def __enter__(self) -> Self:
         return self
@@ -97,22 +103,35 @@ class Ahead:
     def __exit__(self, *_: object) -> None:
         self._helpers.close()
 
-    @property
-    def is_reading(self) -> bool:
-        """Whether there are stretches to take."""
-        return self._setup is not None
+    def take(self, offset: int, text: TextReader) -> Stretch | None:
+        """Return the next lines, which begin at an offset, if threads have read them.
 
-    def begin(self, offset: int, setup: TextReader) -> None:
-        """Read from a line on, as `setup` would; stretches of before are dropped."""
+        Threads begin if that is of use. `text` has read the lines before; what was read ahead in
+        another way is dropped. While it waits, this thread reads, too.
+        """
+        if self._setup is not None and self._setup.setup == text.setup:
+            stretch = self._take(offset)
+            if stretch is None:  # a line is too long, or the last one is not whole
+                self._from = offset + STRETCH
+            return stretch
         self.end()
+        left = (self._source.total or 0) - offset
+        if self._threads == 1 or offset < self._from or left < _LEAST:
+            return None
+        # What was read ahead is of no use where the lines are read in other ways again and again.
+        self._from, self._rest = offset + self._rest, 2 * self._rest
+        self._begin(offset, text)
+        return self._take(offset)
+
+    def _begin(self, offset: int, text: TextReader) -> None:
         # In one piece, which is kept for the next file: new memory takes long to be written first.
-        memory = shared_empty(self._rooms * _MEMORY, np.uint8)
+        memory = shared_empty(2 * self._threads * _MEMORY, np.uint8)
         self._free = [Stretch(self._name, each) for each in memory.reshape(-1, _MEMORY)]
-        self._next, self._setup = offset, setup.copy()
+        self._next, self._setup = offset, text.copy()
         self._put(is_start=True)
 
     def end(self) -> None:
-        """Take no more stretches, and drop those that were read."""
+        """Drop what was read ahead."""
         self._setup = None
         self._helpers.drop()
 
@@ -126,11 +145,8 @@ class Ahead:
             self._next += STRETCH
             is_start = False
 
-    def take(self, offset: int) -> Stretch | None:
-        """Return the stretch that begins at an offset; None if there is none, and after the last.
-
-        Until it was read, this thread reads others.
-        """
+    def _take(self, offset: int) -> Stretch | None:
+        """Return the stretch that begins at an offset, None if there is none."""
         if self._helpers:
             with contextlib.suppress(OSError, MemoryError):
                 stretch = self._helpers.take()

@@ -1,7 +1,7 @@
 """The base of readers of text: usual lines are read in C, and any other one by one in Python."""
 
 from collections.abc import Iterator
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from canser._input import Input
 from canser._rows import Row
 from canser._threads import useful_threads
 from canser.errors import FormatError
-from canser.files.ahead import STRETCH, Ahead, Stretch
+from canser.files.ahead import Ahead, Stretch
 from canser.files.reader import ReadOptions
 from canser.files.tagged import TaggedReader
 
@@ -31,12 +31,6 @@ _NOTHING: Final = Taken(0, 0, 0)
 
 # Bytes that are read before threads may begin, with the header and a few frames.
 _FIRST: Final = 1 << 14
-
-# Bytes until threads may begin for the second time; twice as many for the third time, and so on.
-_REST: Final = 1 << 14
-
-# Bytes from which on threads are of use.
-_AHEAD_LEAST: Final = 4 * STRETCH
 
 
 def _find_end(data: memoryview, begin: int) -> int:
@@ -81,10 +75,6 @@ class LineReader(TaggedReader):
         self.bytes_done = 0
         self._is_ended = False
         self._threads = useful_threads(options.threads)
-        # How threads read ahead, and from which offset on they may begin.
-        self._ahead_setup: tuple[Any, ...] = ()
-        self._ahead_from = 0
-        self._ahead_rest = _REST  # bytes until they may begin again
 
     def _new_rows(self) -> None:
         super()._new_rows()
@@ -169,29 +159,10 @@ class LineReader(TaggedReader):
         return bool(self._count or self._frames_seen)
 
     def _stretch(self, ahead: Ahead) -> Stretch | None:
-        """Return the next lines if threads have read them; let threads begin if that is of use."""
-        source = self._source
-        total = source.total
-        in_order = not self._in_c or self._c.state.is_relative
-        if self._threads == 1 or total is None or in_order or not self._has_frames:
-            ahead.end()
-            return None
-        setup = self._c.setup
-        if ahead.is_reading and setup == self._ahead_setup:
-            source.check_size()
-            stretch = ahead.take(self._offset)
-            if stretch is None:  # a line is too long, or the last one is not whole
-                self._ahead_from = self._offset + STRETCH
-            return stretch
-        if self._offset >= self._ahead_from and total - self._offset >= _AHEAD_LEAST:
-            self._ahead_setup = setup
-            # What was read ahead is of no use where the setup changes again and again.
-            self._ahead_from, self._ahead_rest = (
-                self._offset + self._ahead_rest,
-                2 * self._ahead_rest,
-            )
-            ahead.begin(self._offset, self._c)
-            return ahead.take(self._offset)
+        """Return the next lines if threads have read them."""
+        # Relative times need the line before; and the header tells how lines are read.
+        if self._in_c and self._has_frames and not self._c.state.is_relative:
+            return ahead.take(self._offset, self._c)
         ahead.end()
         return None
 
